@@ -1,0 +1,23 @@
+"""Every error that fullturn raises on purpose: what was expected, what came, what to do."""
+
+from __future__ import annotations
+
+
+class FullturnError(Exception):
+    """Base of all named errors; the command line prints it as one line and exits with 1."""
+
+
+class InputError(FullturnError, ValueError):
+    """An argument cannot be used: its shape, type, values or name."""
+
+
+class ReadError(FullturnError, OSError):
+    """A file cannot be read: missing, unreadable, truncated, mislabeled or of an unknown kind."""
+
+
+class WriteError(FullturnError, OSError):
+    """An output cannot be written; nothing is left half-written."""
+
+
+class DependencyError(FullturnError, ImportError):
+    """An optional package is missing; the message names the extra to install."""

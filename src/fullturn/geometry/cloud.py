@@ -1,0 +1,20 @@
+"""One point cloud as the methods see it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from jaxtyping import Float
+from torch import Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class Cloud:
+    """Points in a frame centred on their own mean, and where the sensor stood, if known.
+
+    Both clouds of a pair are divided by one common length, so lengths inside a method are
+    *normalised*: 1 is about the radius of the larger cloud.
+    """
+
+    points: Float[Tensor, "n 3"]  # float64, finite
+    viewpoint: Float[Tensor, "3"] | None = None
