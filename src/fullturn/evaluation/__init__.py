@@ -1,1 +1,1 @@
-"""evaluation"""
+"""Scores of found poses against true ones."""

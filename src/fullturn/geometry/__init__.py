@@ -1,1 +1,1 @@
-"""geometry"""
+"""Rigid motions, neighbors, sampling, normals and overlap: pure functions on tensors."""

@@ -1,0 +1,136 @@
+"""The front door: check → normalize → estimate → explain → denormalize."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+
+from fullturn.batch import RegistrationInterrupted, check_seed, register_many
+from fullturn.errors import InputError
+from fullturn.geometry.cloud import Cloud
+from fullturn.io import LoadedCloud, load_cloud
+from fullturn.methods.registry import get, methods
+from fullturn.normalize import Normalization, normalization_of
+from fullturn.pose.explain import explain, pose_overlap
+from fullturn.result import Alternative, Registration, Symmetry
+
+if TYPE_CHECKING:
+    from fullturn.pose.symmetry import CloudSymmetry
+
+__all__ = ["RegistrationInterrupted", "methods", "register", "register_many"]
+
+
+def register(
+    source: Any,
+    target: Any,
+    *,
+    method: str = "auto",
+    seed: int = 0,
+    source_viewpoint: Any = None,
+    target_viewpoint: Any = None,
+) -> Registration:
+    """Find the pose of `source` in the frame of `target`, with the probability that it is right.
+
+    Each cloud is a file path, an (N, 3) array, list or tensor, an object with `.points` or
+    `.vertices`, a mesh (sampled) or a `LoadedCloud`. Any unit will do, the same for both. A
+    viewpoint (3,) says where the sensor stood, in the frame and unit of its cloud.
+    Where `load_cloud` drops missing returns, `matches` count the points that stayed.
+
+    >>> rng = np.random.default_rng(0)
+    >>> cloud = rng.normal(size=(200, 3)) * (1.0, 2.0, 3.0)
+    >>> result = register(cloud, cloud + 5.0, method="icp-point")
+    >>> result.T_target_source[:3, 3].round(3)
+    array([5., 5., 5.])
+
+    Raises:
+        InputError: a cloud, viewpoint, seed or method name that cannot be used.
+        ReadError: a file that cannot be read.
+    """
+    begin = time.perf_counter()
+    solver = get(method)()
+    rng = np.random.default_rng(check_seed(seed))
+    source_cloud, target_cloud = _load(source, "source"), _load(target, "target")
+    source_eye = _viewpoint(source_viewpoint, "source_viewpoint")
+    target_eye = _viewpoint(target_viewpoint, "target_viewpoint")
+    checked = time.perf_counter()
+
+    frame = normalization_of(source_cloud.points, target_cloud.points)
+    source_seen = _cloud(source_cloud.points, source_eye, frame.source_center, frame.length)
+    target_seen = _cloud(target_cloud.points, target_eye, frame.target_center, frame.length)
+    normalized = time.perf_counter()
+
+    estimate = solver.estimate(source_seen, target_seen, rng=rng)
+    estimated = time.perf_counter()
+
+    T_best, *T_others = estimate.T_target_source
+    explanation = explain(source_seen, target_seen, T_best)
+    probabilities = [float(p) for p in estimate.success_probability]
+    alternatives = tuple(
+        Alternative(
+            T_target_source=frame.denormalize(T.numpy(force=True)),
+            success_probability=probability,
+            overlap=pose_overlap(source_seen, target_seen, T),
+        )
+        for T, probability in zip(T_others, probabilities[1:], strict=True)
+    )
+    end = time.perf_counter()
+    stages = dict(estimate.seconds) or {"estimate": estimated - normalized}
+    return Registration(
+        T_target_source=frame.denormalize(T_best.numpy(force=True)),
+        success_probability=probabilities[0],
+        overlap=explanation.overlap,
+        alternatives=alternatives,
+        symmetry=_symmetry(estimate.symmetry),
+        matches=explanation.matches,
+        match_weights=explanation.match_weights,
+        covariance=frame.denormalize_covariance(explanation.covariance),
+        seconds={
+            "check": checked - begin,
+            "normalize": normalized - checked,
+            **stages,
+            "explain": end - estimated,
+            "total": end - begin,
+        },
+        method=solver.name,
+        notes=(*source_cloud.notes, *target_cloud.notes, *frame.notes),
+    )
+
+
+def _load(thing: Any, role: str) -> LoadedCloud:
+    return load_cloud(thing, name=None if isinstance(thing, LoadedCloud) else role)
+
+
+def _cloud(
+    points: np.ndarray, viewpoint: np.ndarray | None, center: np.ndarray, length: float
+) -> Cloud:
+    def seen(values: np.ndarray) -> torch.Tensor:
+        return torch.from_numpy((values - center) / length)
+
+    return Cloud(seen(points), None if viewpoint is None else seen(viewpoint))
+
+
+def _viewpoint(viewpoint: Any, name: str) -> np.ndarray | None:
+    if viewpoint is None:
+        return None
+    try:
+        place = np.array(viewpoint, dtype=np.float64)
+    except (ValueError, TypeError, RuntimeError) as error:
+        raise InputError(f"{name}: expected three numbers, got {viewpoint!r:.80}") from error
+    if place.shape != (3,) or not np.isfinite(place).all():
+        raise InputError(
+            f"{name}: expected three finite numbers, where the sensor stood in the cloud's own "
+            f"frame; got shape {place.shape}"
+        )
+    return place
+
+
+def _symmetry(found: CloudSymmetry | None) -> Symmetry | None:
+    if found is None:
+        return None
+    axis = np.asarray(found.axis, dtype=np.float64)
+    kind = f"{found.order}-fold" if found.order else "continuous"
+    where = ", ".join(f"{x + 0.0:.2f}" for x in axis)
+    return Symmetry(axis, int(found.order), f"{kind} rotation about ({where})")

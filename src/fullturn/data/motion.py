@@ -1,0 +1,64 @@
+"""Random rigid motions: one function per distribution, since the distributions differ."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+
+def uniform_direction(rng: np.random.Generator) -> Float[np.ndarray, "3"]:
+    """A unit vector, uniform on the sphere."""
+    vector = rng.normal(size=3)
+    return vector / np.linalg.norm(vector)
+
+
+def uniform_rotation(rng: np.random.Generator) -> Float[np.ndarray, "3 3"]:
+    """A rotation, uniform on SO(3); its angle has mean 126.5°."""
+    return Rotation.from_quat(rng.normal(size=4)).as_matrix()
+
+
+def axis_angle_rotation(
+    rng: np.random.Generator, *, max_angle_deg: float
+) -> Float[np.ndarray, "3 3"]:
+    """A rotation about a uniform axis by an angle ~ U[0, max]: at 180° its mean is 90°,
+
+    so this is *not* uniform on SO(3); see `uniform_rotation`.
+    """
+    axis = uniform_direction(rng)
+    angle_rad = np.deg2rad(rng.uniform(0.0, max_angle_deg))
+    return Rotation.from_rotvec(angle_rad * axis).as_matrix()
+
+
+def euler_rotation(rng: np.random.Generator, *, max_angle_deg: float) -> Float[np.ndarray, "3 3"]:
+    """R = Rx·Ry·Rz with the three angles ~ U[0, max] each."""
+    return Rotation.from_euler("zyx", rng.uniform(0.0, max_angle_deg, 3), degrees=True).as_matrix()
+
+
+def ball_translation(rng: np.random.Generator, *, max_length: float) -> Float[np.ndarray, "3"]:
+    """A vector of uniform direction and of length ~ U[0, max]."""
+    direction = uniform_direction(rng)
+    return rng.uniform(0.0, max_length) * direction
+
+
+def rigid(
+    rotation: Float[np.ndarray, "3 3"], translation: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "4 4"]:
+    """The 4×4 motion ``x ↦ R·x + t``."""
+    motion = np.eye(4)
+    motion[:3, :3] = rotation
+    motion[:3, 3] = translation
+    return motion
+
+
+def invert(motion: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
+    """The inverse of a rigid motion, [Rᵀ, −Rᵀt]."""
+    rotation = motion[:3, :3].T
+    return rigid(rotation, -rotation @ motion[:3, 3])
+
+
+def move(
+    motion: Float[np.ndarray, "4 4"], points: Float[np.ndarray, "n 3"]
+) -> Float[np.ndarray, "n 3"]:
+    """The points after the motion, ``points @ R.T + t``."""
+    return points @ motion[:3, :3].T + motion[:3, 3]

@@ -1,0 +1,209 @@
+"""How far a found pose is from the true one, and whether its probability can be believed.
+
+Poses are `T_target_source` (4, 4), leading axes broadcast; lengths are in the unit of the clouds.
+Errors are per pair: averaging is the caller's, over *all* pairs, failures included.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.spatial import cKDTree
+
+from fullturn.errors import InputError
+
+SUCCESS_ANGLE_DEG = 5.0
+SUCCESS_SHARE = 0.05  # of the source's radius
+
+
+def rotation_error_deg(
+    found: Float[np.ndarray, "*batch 4 4"], true: Float[np.ndarray, "*batch 4 4"]
+) -> Float[np.ndarray, "*batch"]:
+    """The angle of R_trueᵀ·R_found, in [0, 180].
+
+    arccos((tr − 1)/2) in its atan2 form, which keeps its digits near 0° and near 180°.
+
+    >>> quarter = np.array([[0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]])
+    >>> float(rotation_error_deg(quarter, np.eye(4)))
+    90.0
+    """
+    rotation = np.swapaxes(true[..., :3, :3], -1, -2) @ found[..., :3, :3]
+    cosine_twice = np.trace(rotation, axis1=-2, axis2=-1) - 1.0
+    skew = rotation - np.swapaxes(rotation, -1, -2)
+    sine_twice = np.sqrt(skew[..., 2, 1] ** 2 + skew[..., 0, 2] ** 2 + skew[..., 1, 0] ** 2)
+    return np.degrees(np.arctan2(sine_twice, cosine_twice))
+
+
+def translation_error(
+    found: Float[np.ndarray, "*batch 4 4"], true: Float[np.ndarray, "*batch 4 4"]
+) -> Float[np.ndarray, "*batch"]:
+    """|t − t_true|; it depends on where the source frame has its origin."""
+    return np.linalg.norm(found[..., :3, 3] - true[..., :3, 3], axis=-1)
+
+
+def point_distances(
+    found: Float[np.ndarray, "4 4"],
+    true: Float[np.ndarray, "4 4"],
+    source: Float[np.ndarray, "n 3"],
+) -> Float[np.ndarray, "n"]:
+    """|T·x − T_true·x| of every source point."""
+    difference = found - true
+    return np.linalg.norm(source @ difference[:3, :3].T + difference[:3, 3], axis=1)
+
+
+def mean_point_distance(
+    found: Float[np.ndarray, "4 4"],
+    true: Float[np.ndarray, "4 4"],
+    source: Float[np.ndarray, "n 3"],
+) -> float:
+    """(1/N)·Σ|T·x − T_true·x|: what released code often calls RMSE."""
+    return float(point_distances(found, true, source).mean())
+
+
+def rmse(
+    found: Float[np.ndarray, "4 4"],
+    true: Float[np.ndarray, "4 4"],
+    source: Float[np.ndarray, "n 3"],
+) -> float:
+    """√((1/N)·Σ|T·x − T_true·x|²)."""
+    return float(np.sqrt(np.square(point_distances(found, true, source)).mean()))
+
+
+def rmse_paper(
+    found: Float[np.ndarray, "4 4"],
+    true: Float[np.ndarray, "4 4"],
+    source: Float[np.ndarray, "n 3"],
+) -> float:
+    """(1/N)·√(Σ|T·x − T_true·x|²): the formula as printed, `rmse`/√N."""
+    return float(np.sqrt(np.square(point_distances(found, true, source)).sum()) / len(source))
+
+
+def radius(points: Float[np.ndarray, "n 3"]) -> float:
+    """The largest distance of a point from the mean."""
+    return float(np.linalg.norm(points - points.mean(axis=0), axis=1).max())
+
+
+def pose_success(
+    found: Float[np.ndarray, "4 4"],
+    true: Float[np.ndarray, "4 4"],
+    source: Float[np.ndarray, "n 3"],
+) -> bool:
+    """Within 5° and 5 % of the source's radius: what `success_probability` speaks of.
+
+    The offset is that of the source's mean, so that the frame's origin does not matter.
+    """
+    offset = point_distances(found, true, source.mean(axis=0, keepdims=True))[0]
+    return bool(
+        rotation_error_deg(found, true) < SUCCESS_ANGLE_DEG
+        and offset < SUCCESS_SHARE * radius(source)
+    )
+
+
+def truncated_distance(
+    pose: Float[np.ndarray, "4 4"],
+    source: Float[np.ndarray, "n 3"],
+    target: Float[np.ndarray, "m 3"],
+    *,
+    truncation: float,
+) -> float:
+    """The mean of both one-sided means of min(nearest distance, truncation)."""
+    moved = source @ pose[:3, :3].T + pose[:3, 3]
+    forth = np.minimum(cKDTree(target).query(moved)[0], truncation).mean()
+    back = np.minimum(cKDTree(moved).query(target)[0], truncation).mean()
+    return float(0.5 * (forth + back))
+
+
+def geometric_success(
+    found: Float[np.ndarray, "4 4"],
+    true: Float[np.ndarray, "4 4"],
+    source: Float[np.ndarray, "n 3"],
+    target: Float[np.ndarray, "m 3"],
+) -> bool:
+    """Whether the pose explains both clouds as well as the true one, or is within 5° of it.
+
+    As well: the two-sided distance, truncated at 5 % of the source's radius, is at most 1.05 times
+    that of the true pose. So a pose that a symmetry makes equal is a success.
+    """
+    if rotation_error_deg(found, true) < SUCCESS_ANGLE_DEG:
+        return True
+    scale = radius(source)
+    of_found, of_true = (
+        truncated_distance(pose, source, target, truncation=SUCCESS_SHARE * scale)
+        for pose in (found, true)
+    )
+    # Exactly equal clouds have distance 0 but for rounding.
+    return bool(of_found <= 1.05 * of_true + 1e-9 * scale)
+
+
+def recall(errors: Float[np.ndarray, "n"], threshold: float) -> float:
+    """The share of pairs with an error below the threshold; NaN counts as failed.
+
+    >>> recall(np.array([0.5, 3.0, np.nan, 170.0]), 5.0)
+    0.5
+    """
+    return float(np.mean(np.asarray(errors) < threshold))
+
+
+def expected_calibration_error(
+    probability: Float[np.ndarray, "n"], success: Bool[np.ndarray, "n"], *, bins: int = 10
+) -> float:
+    """Σ_bins (n_b/n)·|share of successes − mean probability|, over bins of equal width.
+
+    >>> expected_calibration_error(np.array([0.9, 0.9]), np.array([True, False]))
+    0.4
+    """
+    probability, success = _checked(probability, success)
+    bin_of = np.minimum((probability * bins).astype(np.int64), bins - 1)
+    gap = np.bincount(bin_of, success - probability, minlength=bins)
+    return float(np.abs(gap).sum() / len(probability))
+
+
+def brier(probability: Float[np.ndarray, "n"], success: Bool[np.ndarray, "n"]) -> float:
+    """The mean of (probability − success)²; 0 is perfect, always saying ½ gives ¼."""
+    probability, success = _checked(probability, success)
+    return float(np.square(probability - success).mean())
+
+
+def risk_coverage(
+    probability: Float[np.ndarray, "n"], success: Bool[np.ndarray, "n"]
+) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+    """(coverage, risk): the share of failures among the k most probable answers, k = 1…n."""
+    probability, success = _checked(probability, success)
+    order = np.argsort(-probability, kind="stable")
+    answered = np.arange(1, len(order) + 1)
+    return answered / len(order), np.cumsum(1.0 - success[order]) / answered
+
+
+def bootstrap_interval(
+    values: Float[np.ndarray, "n"],
+    rng: np.random.Generator,
+    *,
+    level: float = 0.95,
+    resamples: int = 2000,
+    statistic: Callable[..., np.ndarray] = np.mean,
+) -> tuple[float, float]:
+    """The percentile bootstrap interval of a statistic (NumPy-like, with `axis`) over pairs."""
+    values = np.asarray(values, dtype=np.float64)
+    if len(values) == 0:
+        raise InputError("expected at least one value, got none; run at least one pair")
+    drawn = statistic(values[rng.integers(len(values), size=(resamples, len(values)))], axis=1)
+    low, high = np.quantile(drawn, [(1.0 - level) / 2.0, (1.0 + level) / 2.0])
+    return float(low), float(high)
+
+
+def _checked(probability: np.ndarray, success: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    probability = np.asarray(probability, dtype=np.float64)
+    success = np.asarray(success, dtype=np.float64)
+    if probability.shape != success.shape or probability.ndim != 1 or len(probability) == 0:
+        raise InputError(
+            f"expected two equally long lists, got shapes {probability.shape} and {success.shape}; "
+            "pass one probability and one success per pair"
+        )
+    if not ((probability >= 0.0) & (probability <= 1.0)).all():
+        raise InputError(
+            f"expected probabilities in [0, 1], got {probability.min()} to {probability.max()}; "
+            "leave out pairs without one"
+        )
+    return probability, success

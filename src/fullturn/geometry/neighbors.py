@@ -1,0 +1,176 @@
+"""Nearest neighbors: k-d trees for tensors on the CPU, brute force in chunks elsewhere.
+
+Indices and distances are detached from autograd. Where two neighbors are equally far, the order
+is the same in every run with the same input, but otherwise unspecified.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import small_gicp
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from fullturn.errors import InputError
+
+MISSING = -1
+# Distances held at once by the brute-force search: 256 MB in float32.
+_MAX_DISTANCES_AT_ONCE = 1 << 26
+
+
+def knn(
+    queries: Float[Tensor, "*batch m 3"], points: Float[Tensor, "*batch n 3"], k: int
+) -> tuple[Int[Tensor, "*batch m k"], Float[Tensor, "*batch m k"]]:
+    """Index and distance of the k nearest points of each query, nearest first.
+
+    Where fewer than k points exist the rest is −1 and inf. Distances are Euclidean, in the dtype
+    of the queries.
+
+    >>> cloud = torch.tensor([[0.0, 0, 0], [3, 0, 0], [1, 0, 0]])
+    >>> knn(cloud[:1], cloud, 2)
+    (tensor([[0, 2]]), tensor([[0., 1.]]))
+    """
+    _check(queries, points, k)
+    if points.device.type != "cpu":
+        return _knn_torch(queries, points, k)
+    if points.ndim == 2:
+        return NeighborIndex(points).knn(queries, k)
+    batch = points.shape[:-2]
+    index = torch.empty((*batch, queries.shape[-2], k), dtype=torch.int64)
+    distance = torch.empty((*batch, queries.shape[-2], k), dtype=queries.dtype)
+    for item in np.ndindex(*batch):
+        index[item], distance[item] = NeighborIndex(points[item]).knn(queries[item], k)
+    return index, distance
+
+
+def radius_neighbors(
+    queries: Float[Tensor, "*batch m 3"],
+    points: Float[Tensor, "*batch n 3"],
+    radius: float,
+    *,
+    max_neighbors: int,
+) -> tuple[Int[Tensor, "*batch m k"], Float[Tensor, "*batch m k"]]:
+    """The nearest points within a radius (inclusive), at most `max_neighbors` of them.
+
+    Always `max_neighbors` columns, nearest first, padded with −1 and inf.
+    """
+    _check_radius(radius)
+    return _within(*knn(queries, points, max_neighbors), radius)
+
+
+class NeighborIndex:
+    """Answers many neighbor queries about one cloud; the tree is built once.
+
+    >>> NeighborIndex(torch.tensor([[0.0, 0, 0], [3, 0, 0]])).nearest(torch.tensor([[2.0, 0, 0]]))
+    (tensor([1]), tensor([1.]))
+    """
+
+    def __init__(self, points: Float[Tensor, "n 3"]) -> None:
+        _check(points, points, 1)
+        self.points = points.detach()
+        self._tree: small_gicp.KdTree | None = None
+        if points.device.type == "cpu":
+            # Centered, so that a cloud far from the origin loses nothing to rounding.
+            raw = self.points.double().numpy()
+            self._center = raw.mean(axis=0)
+            if not np.isfinite(self._center).all():
+                raise InputError("points must be finite, got NaN or infinity; drop those rows")
+            self._tree = small_gicp.KdTree(raw - self._center)
+
+    def knn(
+        self, queries: Float[Tensor, "m 3"], k: int
+    ) -> tuple[Int[Tensor, "m k"], Float[Tensor, "m k"]]:
+        """Index and distance of the k nearest points; −1 and inf where fewer exist."""
+        _check(queries, self.points, k)
+        if self._tree is None:
+            return _knn_torch(queries, self.points, k)
+        if len(queries) == 0:
+            return torch.empty((0, k), dtype=torch.int64), torch.empty((0, k), dtype=queries.dtype)
+        centered = queries.detach().double().numpy() - self._center
+        unsigned, distance_sq = self._tree.batch_knn_search(centered, k, 1)
+        index = unsigned.view(np.int64)  # the tree marks a missing neighbor by 2⁶⁴ − 1
+        distance = np.sqrt(distance_sq, out=distance_sq)
+        if k > len(self.points):
+            distance[:, len(self.points) :] = np.inf
+        return torch.from_numpy(index), torch.from_numpy(distance).to(queries.dtype)
+
+    def radius(
+        self, queries: Float[Tensor, "m 3"], radius: float, *, max_neighbors: int
+    ) -> tuple[Int[Tensor, "m k"], Float[Tensor, "m k"]]:
+        """The nearest points within a radius, at most `max_neighbors`; padded with −1 and inf."""
+        _check_radius(radius)
+        return _within(*self.knn(queries, max_neighbors), radius)
+
+    def nearest(
+        self, queries: Float[Tensor, "m 3"]
+    ) -> tuple[Int[Tensor, " m"], Float[Tensor, " m"]]:
+        """Index and distance of the single nearest point."""
+        index, distance = self.knn(queries, 1)
+        return index[:, 0], distance[:, 0]
+
+
+def gather(
+    values: Float[Tensor, "*batch n c"], index: Int[Tensor, "*batch m k"]
+) -> Float[Tensor, "*batch m k c"]:
+    """Rows of `values` at the neighbors; a missing neighbor (−1) gives the first row: mask it."""
+    n, channels = values.shape[-2:]
+    flat = index.clamp_min(0)
+    batch = values.shape[:-2]
+    if batch:
+        offset = torch.arange(math.prod(batch), device=index.device).mul(n).view(*batch, 1, 1)
+        flat = flat + offset
+    rows = values.reshape(-1, channels).index_select(0, flat.reshape(-1))
+    return rows.view(*index.shape, channels)
+
+
+def fill_with_self(neighbor_index: Int[Tensor, "*batch n k"]) -> Int[Tensor, "*batch n k"]:
+    """Replace each missing neighbor (−1) by the point itself."""
+    own = torch.arange(neighbor_index.shape[-2], device=neighbor_index.device)[:, None]
+    return torch.where(neighbor_index < 0, own, neighbor_index)
+
+
+def _knn_torch(queries: Tensor, points: Tensor, k: int) -> tuple[Tensor, Tensor]:
+    """Brute force on any device, in chunks of queries."""
+    # Centered, and without the |a|² + |b|² − 2ab expansion: both would cost digits in float32.
+    center = points.detach().mean(dim=-2, keepdim=True)
+    queries, points = queries.detach() - center, points.detach() - center
+    n = points.shape[-2]
+    found = min(k, n)
+    rows = max(1, _MAX_DISTANCES_AT_ONCE // max(1, math.prod(points.shape[:-1])))
+    shape = (*queries.shape[:-1], k)
+    index = torch.full(shape, MISSING, dtype=torch.int64, device=points.device)
+    distance = torch.full(shape, math.inf, dtype=queries.dtype, device=points.device)
+    for first in range(0, queries.shape[-2], rows):
+        part = slice(first, first + rows)
+        pairwise = torch.cdist(
+            queries[..., part, :], points, compute_mode="donot_use_mm_for_euclid_dist"
+        )
+        nearest = pairwise.topk(found, dim=-1, largest=False, sorted=True)
+        index[..., part, :found] = nearest.indices
+        distance[..., part, :found] = nearest.values
+    return index, distance
+
+
+def _within(index: Tensor, distance: Tensor, radius: float) -> tuple[Tensor, Tensor]:
+    outside = distance > radius
+    return index.masked_fill_(outside, MISSING), distance.masked_fill_(outside, math.inf)
+
+
+def _check(queries: Tensor, points: Tensor, k: int) -> None:
+    if points.shape[-1] != 3 or queries.shape[-1] != 3:
+        raise InputError(
+            f"queries and points must have 3 columns, got shapes {tuple(queries.shape)} "
+            f"and {tuple(points.shape)}"
+        )
+    if points.shape[-2] == 0:
+        raise InputError("points must hold at least one point, got none")
+    if k < 1:
+        raise InputError(f"at least one neighbor must be asked for, got {k}")
+
+
+def _check_radius(radius: float) -> None:
+    if not radius > 0:
+        raise InputError(f"radius must be positive, got {radius}")

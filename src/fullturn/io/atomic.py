@@ -1,0 +1,71 @@
+"""Write a file whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from pathlib import Path
+
+from fullturn.errors import WriteError
+
+
+def write_atomic(path: str | os.PathLike[str], content: bytes | str) -> None:
+    """Put `content` at `path` by renaming a finished temporary file of the same folder.
+
+    Text is written as UTF-8 with the line ends it has. A reader never sees half a file, and a
+    failed write leaves what was there before.
+
+    Raises:
+        WriteError: the folder is missing or not writable, or `path` is a folder.
+    """
+    goal = Path(path)
+    if not goal.parent.is_dir():
+        raise WriteError(
+            f"cannot write {one_line(path)}: expected an existing folder, "
+            f"{one_line(goal.parent)} is none; create it first"
+        )
+    if goal.is_dir():
+        raise WriteError(
+            f"cannot write {one_line(path)}: expected a file name, it is a folder; "
+            "add a file name to it"
+        )
+    data = content.encode() if isinstance(content, str) else content
+    temporary: str | None = None
+    try:
+        # A link keeps pointing where it points: its target is what gets replaced.
+        goal = goal.resolve()
+        descriptor, temporary = tempfile.mkstemp(prefix=f".{goal.name[:40]}.", dir=goal.parent)
+        with os.fdopen(descriptor, "wb") as stream:
+            stream.write(data)
+            stream.flush()
+            os.fsync(stream.fileno())
+        os.chmod(temporary, _mode_of(goal))
+        os.replace(temporary, goal)
+        temporary = None
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or one_line(error)
+        raise WriteError(
+            f"cannot write {one_line(path)}: {reason}; choose a place that can be written"
+        ) from error
+    finally:
+        if temporary is not None and os.path.exists(temporary):
+            os.unlink(temporary)
+
+
+def one_line(text: object) -> str:
+    """Any text as one printable line, so that an error message is always one line.
+
+    >>> one_line("a\\nb")
+    'a b'
+    """
+    line = " ".join(str(text).split())
+    return line.encode("utf-8", "backslashreplace").decode() or "(empty)"
+
+
+def _mode_of(goal: Path) -> int:
+    # mkstemp makes private files; a new output gets the usual mode, an old one keeps its own.
+    if goal.exists():
+        return goal.stat().st_mode & 0o777
+    umask = os.umask(0)
+    os.umask(umask)
+    return 0o666 & ~umask

@@ -1,0 +1,125 @@
+"""Read meshes, and sample points uniformly on a triangle mesh's surface."""
+
+from __future__ import annotations
+
+import io
+import logging
+import warnings
+from typing import Any
+
+import numpy as np
+
+from fullturn.errors import InputError, ReadError
+from fullturn.io.atomic import one_line
+from fullturn.io.raw import Raw
+
+
+def read_mesh(data: bytes, suffix: str, name: str) -> Raw:
+    """Vertices and triangles of an OBJ, STL, OFF or GLB file, scene transforms applied.
+
+    An OBJ or OFF file without faces is a point cloud.
+
+    Raises:
+        ReadError: trimesh cannot read the file, or it holds no geometry.
+    """
+    if suffix == ".stl":
+        _check_stl(data, name)
+    import trimesh
+
+    logger = logging.getLogger("trimesh")
+    level = logger.level
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            logger.setLevel(logging.CRITICAL)
+            loaded: Any = trimesh.load(
+                io.BytesIO(data),
+                file_type=suffix[1:],
+                force="mesh",
+                process=False,
+                skip_materials=True,
+            )
+            vertices = np.array(loaded.vertices, dtype=np.float64).reshape(-1, 3)
+            faces = np.array(loaded.faces, dtype=np.int64).reshape(-1, 3)
+    # trimesh lets through whatever a damaged file provokes: KeyError, struct.error, JSON errors...
+    except Exception as error:
+        raise ReadError(
+            f"{name}: cannot read it as {suffix[1:].upper()} "
+            f"({type(error).__name__}: {one_line(error)[:120]}); "
+            "it is truncated, damaged or of another kind"
+        ) from error
+    finally:
+        logger.setLevel(level)
+    if len(faces) == 0 and suffix == ".obj":
+        return Raw(_obj_vertices(data, name), notes=(f"{name}: no faces, its vertices are used",))
+    if len(faces) == 0:
+        raise ReadError(
+            f"{name}: expected a mesh with triangles, found none; it is truncated or damaged"
+        )
+    return Raw(vertices, faces)
+
+
+def sample_surface(
+    vertices: np.ndarray, faces: np.ndarray, *, samples: int, name: str
+) -> tuple[np.ndarray, int]:
+    """Points (samples, 3) uniform by area on a mesh, always the same ones, and faces left out.
+
+    A triangle is drawn with probability proportional to its area; a point in it by the square
+    root rule, p = (1 − √u) a + √u (1 − v) b + √u v c. Faces with a non-finite corner are left
+    out and counted.
+
+    Raises:
+        InputError: faces that name no vertex, or no area at all.
+    """
+    if faces.size and (faces.min() < 0 or faces.max() >= len(vertices)):
+        raise InputError(
+            f"{name}: expected faces that index {len(vertices)} vertices, found indices from "
+            f"{faces.min()} to {faces.max()}; the mesh is damaged"
+        )
+    corners = np.asarray(vertices, dtype=np.float64)[faces]  # (f, 3, 3)
+    finite = np.isfinite(corners).all(axis=(1, 2))
+    corners = corners[finite]
+    extent = float(np.abs(corners).max(initial=0.0))
+    if not 0.0 < extent < 1e150:
+        raise InputError(
+            f"{name}: expected a mesh with finite area, its largest coordinate is {extent:g}; "
+            "check the file, or rescale it"
+        )
+    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    area = np.linalg.norm(np.cross(first / extent, second / extent), axis=1)
+    if not area.sum() > 0.0:
+        raise InputError(
+            f"{name}: expected a mesh with a surface, its {len(faces)} triangles have no area; "
+            "check the file"
+        )
+    rng = np.random.default_rng(0)
+    shares = np.cumsum(area) / area.sum()
+    chosen = np.minimum(np.searchsorted(shares, rng.random(samples), side="right"), len(area) - 1)
+    root = np.sqrt(rng.random((samples, 1)))
+    along = rng.random((samples, 1))
+    points = corners[chosen, 0] + root * ((1.0 - along) * first[chosen] + along * second[chosen])
+    return points, int((~finite).sum())
+
+
+def _check_stl(data: bytes, name: str) -> None:
+    # Binary STL says its own length; trimesh returns an empty mesh where the two differ.
+    if data[:5].lower() == b"solid" and b"facet" in data[:1024]:
+        if b"endsolid" not in data[-1024:]:
+            raise ReadError(f"{name}: the STL text has no 'endsolid'; the file is truncated")
+        return
+    count = int.from_bytes(data[80:84], "little")
+    if len(data) < 84 or len(data) < 84 + 50 * count:
+        raise ReadError(
+            f"{name}: expected a binary STL file of {84 + 50 * count} bytes, {len(data)} came; "
+            "it is truncated or of another kind"
+        )
+
+
+def _obj_vertices(data: bytes, name: str) -> np.ndarray:
+    rows = [line.split()[1:4] for line in data.splitlines() if line.startswith((b"v ", b"v\t"))]
+    try:
+        return np.array(rows, dtype=np.float64).reshape(-1, 3)
+    except ValueError as error:
+        raise ReadError(
+            f"{name}: expected OBJ lines 'v x y z' with numbers; the file is damaged"
+        ) from error

@@ -1,0 +1,67 @@
+"""Write and read rigid transforms as text or JSON, exactly."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fullturn.errors import InputError, ReadError, WriteError
+from fullturn.io.atomic import one_line, write_atomic
+
+
+def write_transform(path: str | os.PathLike[str], T_target_source: Any) -> None:
+    """Write a 4×4 transform as four lines of text (.txt) or as a JSON object (.json).
+
+    Both hold 17 significant digits, enough to read every float64 back exactly.
+
+    Raises:
+        InputError: not a finite 4×4 matrix.
+        WriteError: another suffix, or the place cannot be written.
+    """
+    matrix = _checked(T_target_source)
+    suffix = Path(path).suffix.lower()
+    if suffix == ".txt":
+        content = "".join(" ".join(f"{x:.17g}" for x in row) + "\n" for row in matrix)
+    elif suffix == ".json":
+        content = json.dumps({"T_target_source": matrix.tolist()}, indent=2) + "\n"
+    else:
+        raise WriteError(
+            f"{one_line(path)}: expected a file name that ends in .txt or .json, found "
+            f"{one_line(suffix) if suffix else 'no suffix'}; choose one of these"
+        )
+    write_atomic(path, content)
+
+
+def read_transform(path: str | os.PathLike[str]) -> np.ndarray:
+    """Read a 4×4 transform from text or from JSON with a `T_target_source`.
+
+    Raises:
+        ReadError: missing or unreadable, or not a finite 4×4 matrix.
+    """
+    name = one_line(path)
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+        if Path(path).suffix.lower() == ".json":
+            return _checked(json.loads(text)["T_target_source"])
+        return _checked([[float(x) for x in row.split()] for row in text.strip().splitlines()])
+    except OSError as error:
+        raise ReadError(f"{name}: cannot be read ({error.strerror}); check the path") from error
+    except (ValueError, KeyError, TypeError) as error:
+        raise ReadError(
+            f"{name}: expected a 4×4 matrix as four lines of text, or JSON with "
+            f"T_target_source; found a problem with {one_line(error)[:120]}"
+        ) from error
+
+
+def _checked(values: Any) -> np.ndarray:
+    try:
+        matrix = np.array(values, dtype=np.float64)
+    except (ValueError, TypeError) as error:
+        raise InputError(f"expected a 4×4 matrix, got {one_line(error)[:120]}") from error
+    if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
+        raise InputError(f"expected a finite 4×4 matrix, got shape {matrix.shape}")
+    return matrix

@@ -1,0 +1,65 @@
+"""Common frames and a common length for two clouds, and the way back to the input's units."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+# Robust against a few stray points, and all but the radius of a clean cloud.
+_RADIUS_QUANTILE = 0.99
+_UNLIKE = 10.0
+
+
+@dataclass(frozen=True, eq=False)
+class Normalization:
+    """x_normalized = (x − center) / length, with one length for both clouds."""
+
+    source_center: np.ndarray  # (3,) mean, in the input's unit
+    target_center: np.ndarray  # (3,)
+    length: float  # in the input's unit
+    notes: tuple[str, ...] = ()
+
+    def denormalize(self, T_target_source_normalized: np.ndarray) -> np.ndarray:
+        """The pose (4, 4) in the input's frames: R stays, t = length tₙ + c_t − R c_s."""
+        T_target_source = np.array(T_target_source_normalized, dtype=np.float64)
+        R = T_target_source[:3, :3]
+        T_target_source[:3, 3] *= self.length
+        T_target_source[:3, 3] += self.target_center - R @ self.source_center
+        return T_target_source
+
+    def denormalize_covariance(self, covariance_normalized: np.ndarray) -> np.ndarray:
+        """The covariance (6, 6) of a right perturbation, in the input's frames.
+
+        The perturbation ω × xₙ + vₙ of a normalized source point is ω × x + v in the input's
+        source frame, with v = length vₙ + c_s × ω, so C = A Cₙ Aᵀ with A = [I 0; [c_s]× length I].
+        """
+        x, y, z = self.source_center
+        adjoint = np.eye(6)
+        adjoint[3:, :3] = [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]
+        adjoint[3:, 3:] *= self.length
+        covariance = adjoint @ covariance_normalized @ adjoint.T
+        return (covariance + covariance.T) / 2.0
+
+
+def normalization_of(source: np.ndarray, target: np.ndarray) -> Normalization:
+    """Centers are the means; the length is the larger of the two clouds' radii.
+
+    A radius is the 99th percentile of the distances to the mean, so that a few stray points don't
+    shrink the rest; where that is nearly 0 (most points coincide), the largest distance.
+    """
+    source_center, source_radius = _center_and_radius(source)
+    target_center, target_radius = _center_and_radius(target)
+    ratio = source_radius / target_radius
+    notes: tuple[str, ...] = ()
+    if not 1.0 / _UNLIKE < ratio < _UNLIKE:
+        notes = (f"the source is {ratio:.3g} times as large as the target: is the unit the same?",)
+    return Normalization(source_center, target_center, max(source_radius, target_radius), notes)
+
+
+def _center_and_radius(points: np.ndarray) -> tuple[np.ndarray, float]:
+    # Taking one point off first keeps the mean exact far from the origin.
+    center = points[0] + (points - points[0]).mean(axis=0)
+    distance = np.linalg.norm(points - center, axis=1)
+    radius, largest = float(np.quantile(distance, _RADIUS_QUANTILE)), float(distance.max())
+    return center, radius if radius > 1e-3 * largest else largest
