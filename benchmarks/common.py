@@ -20,6 +20,7 @@ import numpy as np
 from fullturn.data.pair import Pair
 from fullturn.errors import FullturnError
 from fullturn.evaluation import metrics
+from fullturn.methods import registry
 
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -58,7 +59,11 @@ def register_with(method: str, pair: Pair, seed: int) -> Answer:
 
 
 def fullturn_registrar(method: str) -> Registrar:
-    """`register_with` for one method; it can be sent to another process."""
+    """`register_with` for one method; it can be sent to another process.
+
+    An unknown name is an error here, rather than a failure of every pair.
+    """
+    registry.get(method)
     return partial(register_with, method)
 
 
@@ -162,7 +167,7 @@ def summarize(rows: Sequence[dict[str, Any]], *, seed: int) -> dict[str, Any]:
 
 SUMMARY_HEADER = (
     "set", "n", "mean °", "median °", "<0.1°", "<1°", "<5°", "success", "geometric",
-    "in list", "probability", "ECE", "CPU s",
+    "in list", "probability", "ECE", "CPU s", "refused",
 )  # fmt: skip
 
 
@@ -184,6 +189,7 @@ def summary_cells(label: str, summary: dict[str, Any]) -> list[str]:
         f"{summary['mean_probability']:.3f}" if "mean_probability" in summary else "–",
         f"{summary['calibration_error']:.3f}" if "calibration_error" in summary else "–",
         f"{summary['cpu_seconds_median']:.3f}",
+        str(summary["errors"]),
     ]
 
 

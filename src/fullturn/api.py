@@ -13,7 +13,7 @@ from fullturn.errors import InputError
 from fullturn.geometry.cloud import Cloud
 from fullturn.io import LoadedCloud, load_cloud
 from fullturn.methods.registry import get, methods
-from fullturn.normalize import Normalization, normalization_of
+from fullturn.normalize import normalization_of
 from fullturn.pose.explain import explain, pose_overlap
 from fullturn.result import Alternative, Registration, Symmetry
 

@@ -16,7 +16,7 @@ from fullturn.data.motion import (
     uniform_rotation,
 )
 from fullturn.data.pair import Pair
-from fullturn.data.procedural import sample_faces
+from fullturn.data.surface import sample_faces
 from fullturn.errors import InputError
 
 # Samples per wanted point: with fewer, hidden surfaces shine through pixels without a sample.
@@ -38,7 +38,7 @@ def scan(
 
     A dense sample is projected (pinhole, looking at its mean) onto a grid whose pixels are sized
     for about `count` hits; the nearest sample of each pixel is kept. At most `count` points come
-    back, fewer only where the surface is seen by fewer samples.
+    back, fewer where many returns are lost at grazing angles.
 
     `noise_sigma` is the standard deviation along the line of sight, in the surface's unit. Below
     `grazing_deg` between line of sight and surface, returns get lost: all at 0°, none at the limit;
@@ -47,17 +47,17 @@ def scan(
     camera = np.asarray(camera, dtype=np.float64)
     if isinstance(surface, trimesh.Trimesh):
         dense, face = sample_faces(surface, max(_DENSITY * count, _LEAST_DENSE), rng)
+    elif grazing_deg > 0.0:
+        raise InputError(
+            "expected a mesh for grazing_deg > 0, got bare points; pass a mesh or grazing_deg=0"
+        )
     else:
-        dense, face = np.asarray(surface, dtype=np.float64), None
+        dense = np.asarray(surface, dtype=np.float64)
     image, depth = _project(dense, camera)
     seen = np.flatnonzero(_nearest_per_pixel(image, depth, round(_SPARE * count)))
-    if grazing_deg > 0.0:
-        if face is None:
-            raise InputError(
-                "expected a mesh for grazing_deg > 0, got bare points; pass a mesh or grazing_deg=0"
-            )
-        sight = dense[seen] - camera
+    if isinstance(surface, trimesh.Trimesh) and grazing_deg > 0.0:
         normals = np.asarray(surface.face_normals)[face[seen]]
+        sight = dense[seen] - camera
         sine = np.abs((normals * sight).sum(axis=1)) / np.linalg.norm(sight, axis=1)
         seen = seen[sine >= rng.random(len(seen)) * np.sin(np.deg2rad(grazing_deg))]
     points = dense[rng.permutation(seen)[:count]]

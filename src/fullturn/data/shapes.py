@@ -15,7 +15,8 @@ import numpy as np
 import trimesh
 from jaxtyping import Float
 
-from fullturn.data.procedural import procedural_mesh, sample_surface
+from fullturn.data.procedural import procedural_mesh
+from fullturn.data.surface import sample_surface
 from fullturn.errors import InputError, ReadError
 
 _MESH_SUFFIXES = {".glb", ".gltf", ".obj", ".off", ".ply", ".stl"}

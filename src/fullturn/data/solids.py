@@ -7,6 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 import trimesh
 from jaxtyping import Float
+from numpy.typing import ArrayLike
+from scipy.interpolate import CubicSpline, PchipInterpolator
 
 
 def grid_surface(
@@ -189,3 +191,26 @@ def placed(
     """A moved copy."""
     vertices = mesh.vertices if rotation is None else mesh.vertices @ rotation.T
     return trimesh.Trimesh(vertices + np.asarray(translation), mesh.faces, process=False)
+
+
+def to_unit_ball(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """A copy centered on its area-weighted centroid, the farthest vertex at distance 1."""
+    corner = mesh.vertices[mesh.faces]
+    area = np.linalg.norm(
+        np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1
+    )
+    centered = mesh.vertices - (corner.mean(axis=1) * area[:, None]).sum(axis=0) / area.sum()
+    radius = np.linalg.norm(centered[np.unique(mesh.faces)], axis=1).max()
+    return trimesh.Trimesh(centered / radius, mesh.faces, process=False)
+
+
+def curve(knots: ArrayLike, *, count: int = 32) -> Float[np.ndarray, "count 3"]:
+    """A smooth path through the knots."""
+    points = np.asarray(knots, dtype=np.float64)
+    return CubicSpline(np.arange(len(points)), points)(np.linspace(0, len(points) - 1, count))
+
+
+def smooth(profile: ArrayLike, *, count: int = 40) -> Float[np.ndarray, "count 2"]:
+    """A profile through the knots without overshoot, so that no radius turns negative."""
+    points = np.asarray(profile, dtype=np.float64)
+    return PchipInterpolator(np.arange(len(points)), points)(np.linspace(0, len(points) - 1, count))

@@ -3,18 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 from jaxtyping import Float
 from torch import Tensor
 
+from fullturn.geometry.neighbors import NeighborIndex
+
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
-    """Points in a frame centred on their own mean, and where the sensor stood, if known.
+    """Points in a frame centered on their own mean, and where the sensor stood, if known.
 
     Both clouds of a pair are divided by one common length, so lengths inside a method are
-    *normalised*: 1 is about the radius of the larger cloud.
+    *normalized*: 1 is about the radius of the larger cloud.
     """
 
     points: Float[Tensor, "n 3"]  # float64, finite
     viewpoint: Float[Tensor, "3"] | None = None
+
+    @cached_property
+    def index(self) -> NeighborIndex:
+        """Nearest neighbors at full resolution; built once, on first use."""
+        return NeighborIndex(self.points)

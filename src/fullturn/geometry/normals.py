@@ -88,11 +88,9 @@ def eigen_symmetric_3x3(
 
     # 1. Split off the mean, and bring what is left to size 1.
     mean = (A[0, 0] + A[1, 1] + A[2, 2]) / 3
-    B = A.clone()
-    for i in range(3):
-        B[i, i] -= mean
-    size = B.abs().amax((0, 1))
-    B /= torch.where(size > 0, size, 1.0)
+    deviator = A - mean * _eye(A)
+    size = deviator.abs().amax((0, 1))
+    B = deviator / torch.where(size > 0, size, 1.0)
 
     # 2. The isolated eigenvalue: the largest if det B ≥ 0, else the smallest.
     det = (B[0] * torch.linalg.cross(B[1], B[2], dim=0)).sum(0)
@@ -181,9 +179,7 @@ def _largest_positive(vectors: Tensor) -> Tensor:
 
 def _null_vector(B: Tensor, eigenvalue: Tensor) -> Tensor:
     """Unit eigenvector, components first: the largest cross product of two rows of B − λ I."""
-    M = B.clone()
-    for i in range(3):
-        M[i, i] -= eigenvalue
+    M = B - eigenvalue * _eye(B)
     # Row i of the cofactors is the cross product of the other two rows of M.
     cofactors = torch.linalg.cross(M[[1, 2, 0]], M[[2, 0, 1]], dim=1)
     length_sq = cofactors.square().sum(1)
@@ -192,9 +188,8 @@ def _null_vector(B: Tensor, eigenvalue: Tensor) -> Tensor:
         vector = torch.where(length_sq[i] > best_sq, cofactors[i], vector)
         best_sq = torch.maximum(length_sq[i], best_sq)
     # B = 0 has no direction of its own: any axis will do.
-    x_axis = torch.tensor([1.0, 0.0, 0.0], dtype=B.dtype, device=B.device)
-    x_axis = x_axis.view(3, *[1] * eigenvalue.ndim)
-    return torch.where(best_sq > 0, vector / torch.where(best_sq > 0, best_sq, 1.0).sqrt(), x_axis)
+    length = torch.where(best_sq > 0, best_sq, 1.0).sqrt()
+    return torch.where(best_sq > 0, vector / length, _eye(B)[0])
 
 
 def _perpendicular(u: Tensor) -> Tensor:
@@ -210,3 +205,9 @@ def _perpendicular(u: Tensor) -> Tensor:
         torch.where(drop_y, x, -y),
     ]
     return torch.stack(across) / length
+
+
+def _eye(like: Tensor) -> Tensor:
+    """Identity with its components first, to broadcast against `like`."""
+    eye = torch.eye(3, dtype=like.dtype, device=like.device)
+    return eye.view(3, 3, *[1] * (like.ndim - 2))

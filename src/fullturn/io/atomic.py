@@ -18,17 +18,7 @@ def write_atomic(path: str | os.PathLike[str], content: bytes | str) -> None:
     Raises:
         WriteError: the folder is missing or not writable, or `path` is a folder.
     """
-    goal = Path(path)
-    if not goal.parent.is_dir():
-        raise WriteError(
-            f"cannot write {one_line(path)}: expected an existing folder, "
-            f"{one_line(goal.parent)} is none; create it first"
-        )
-    if goal.is_dir():
-        raise WriteError(
-            f"cannot write {one_line(path)}: expected a file name, it is a folder; "
-            "add a file name to it"
-        )
+    goal = check_output(path)
     data = content.encode() if isinstance(content, str) else content
     temporary: str | None = None
     try:
@@ -50,6 +40,33 @@ def write_atomic(path: str | os.PathLike[str], content: bytes | str) -> None:
     finally:
         if temporary is not None and os.path.exists(temporary):
             os.unlink(temporary)
+
+
+def check_output(path: str | os.PathLike[str], suffixes: tuple[str, ...] = ()) -> Path:
+    """Check, before the work is done, that an output can go to `path`: suffix and folder.
+
+    Raises:
+        WriteError: none of `suffixes` (if any are given), no such folder, or a folder itself.
+    """
+    goal, name = Path(path), one_line(path)
+    suffix = goal.suffix.lower()
+    if suffixes and suffix not in suffixes:
+        raise WriteError(
+            f"cannot write {name}: expected a file name that ends in one of "
+            f"{', '.join(suffixes)}, found {one_line(suffix) if suffix else 'no suffix'}; "
+            "choose one of these"
+        )
+    try:
+        if not goal.parent.is_dir():
+            raise WriteError(
+                f"cannot write {name}: expected an existing folder, {one_line(goal.parent)} "
+                "is none; create it first"
+            )
+        if goal.is_dir():
+            raise WriteError(f"cannot write {name}: it is a folder; add a file name to it")
+    except ValueError as error:  # a zero byte in the path
+        raise WriteError(f"cannot write {name}: {error}; choose another name") from error
+    return goal
 
 
 def one_line(text: object) -> str:

@@ -24,6 +24,8 @@ def read_mesh(data: bytes, suffix: str, name: str) -> Raw:
     """
     if suffix == ".stl":
         _check_stl(data, name)
+    if suffix == ".off":
+        _check_off(data, name)
     import trimesh
 
     logger = logging.getLogger("trimesh")
@@ -112,6 +114,24 @@ def _check_stl(data: bytes, name: str) -> None:
         raise ReadError(
             f"{name}: expected a binary STL file of {84 + 50 * count} bytes, {len(data)} came; "
             "it is truncated or of another kind"
+        )
+
+
+def _check_off(data: bytes, name: str) -> None:
+    # trimesh ignores missing faces; counting numbers finds them however the lines are broken.
+    words = b" ".join(line.split(b"#", 1)[0] for line in data.splitlines()).split()
+    try:
+        vertices, faces = int(words[1]), int(words[2])
+    except (IndexError, ValueError) as error:
+        raise ReadError(
+            f"{name}: expected OFF and the numbers of vertices, faces and edges, it begins with "
+            f"{one_line(data[:20])}; it is truncated or of another kind"
+        ) from error
+    # Three coordinates per vertex; per face a count and three corners at least.
+    if len(words) < 4 + 3 * vertices + 4 * faces:
+        raise ReadError(
+            f"{name}: expected {vertices} vertices and {faces} faces, the file ends before; "
+            "it is truncated or damaged"
         )
 
 

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import io
 import os
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from fullturn.errors import WriteError
-from fullturn.io.atomic import one_line, write_atomic
+from fullturn.io.atomic import check_output, write_atomic
 from fullturn.io.check import check_shape
 from fullturn.io.ply import ply_bytes
+
+CLOUD_SUFFIXES = (".ply", ".npy", ".xyz", ".txt", ".csv")
 
 
 def save_cloud(path: str | os.PathLike[str], points: Any) -> None:
@@ -24,7 +24,7 @@ def save_cloud(path: str | os.PathLike[str], points: Any) -> None:
         InputError: `points` is not a real array of shape (N, 3).
         WriteError: another suffix, or the place cannot be written.
     """
-    suffix = Path(path).suffix.lower()
+    suffix = check_output(path, CLOUD_SUFFIXES).suffix.lower()
     values = check_shape(points, "points").astype(np.float64)
     if suffix == ".ply":
         content = ply_bytes(values)
@@ -32,13 +32,8 @@ def save_cloud(path: str | os.PathLike[str], points: Any) -> None:
         stream = io.BytesIO()
         np.save(stream, values, allow_pickle=False)
         content = stream.getvalue()
-    elif suffix in (".xyz", ".txt", ".csv"):
+    else:
         stream = io.BytesIO()
         np.savetxt(stream, values, fmt="%.17g", delimiter="," if suffix == ".csv" else " ")
         content = stream.getvalue()
-    else:
-        raise WriteError(
-            f"{one_line(path)}: expected a file name that ends in .ply, .npy, .xyz, .txt or .csv, "
-            f"found {one_line(suffix) if suffix else 'no suffix'}; choose one of these"
-        )
     write_atomic(path, content)

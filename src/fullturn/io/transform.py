@@ -9,8 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from fullturn.errors import InputError, ReadError, WriteError
-from fullturn.io.atomic import one_line, write_atomic
+from fullturn.errors import InputError, ReadError
+from fullturn.io.atomic import check_output, one_line, write_atomic
+
+TRANSFORM_SUFFIXES = (".txt", ".json")
 
 
 def write_transform(path: str | os.PathLike[str], T_target_source: Any) -> None:
@@ -23,16 +25,10 @@ def write_transform(path: str | os.PathLike[str], T_target_source: Any) -> None:
         WriteError: another suffix, or the place cannot be written.
     """
     matrix = _checked(T_target_source)
-    suffix = Path(path).suffix.lower()
-    if suffix == ".txt":
+    if check_output(path, TRANSFORM_SUFFIXES).suffix.lower() == ".txt":
         content = "".join(" ".join(f"{x:.17g}" for x in row) + "\n" for row in matrix)
-    elif suffix == ".json":
-        content = json.dumps({"T_target_source": matrix.tolist()}, indent=2) + "\n"
     else:
-        raise WriteError(
-            f"{one_line(path)}: expected a file name that ends in .txt or .json, found "
-            f"{one_line(suffix) if suffix else 'no suffix'}; choose one of these"
-        )
+        content = json.dumps({"T_target_source": matrix.tolist()}, indent=2) + "\n"
     write_atomic(path, content)
 
 

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from fullturn.viz.scene import PartnerDistance, Scene
 
 SIDE_BY_SIDE = 1.05  # half the distance between two clouds drawn side by side, in radii
-FAR_APART = 3.0  # clouds with their centers further apart, in radii, are drawn side by side
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +76,14 @@ def make_views(scene: Scene, registration: Registration, frame: Frame) -> list[d
     shown, total = len(scene.matches.weight), len(registration.matches)
     some = f"{shown:,} of {total:,} matches" if shown < total else f"{total:,} matches"
     views = [
-        before_view(frame, scene),
+        {
+            "name": "Before",
+            "caption": "The scans turned as they came, side by side",
+            "R": np.eye(3).ravel().tolist(),
+            "t": [0.0, 0.0, 0.0],
+            "gap": SIDE_BY_SIDE,
+            "extent": 1.1,
+        },
         {
             "name": "After",
             "caption": "The source moved into the frame of the target",
@@ -107,29 +113,6 @@ def make_views(scene: Scene, registration: Registration, frame: Frame) -> list[d
             }
         )
     return views
-
-
-def before_view(frame: Frame, scene: Scene) -> dict[str, Any]:
-    """Show both clouds where they are, or side by side where their frames are far apart."""
-    pose = frame.pose(np.eye(4))
-    apart = np.linalg.norm(frame.source_center - frame.target_center) / frame.radius
-    if apart > FAR_APART:
-        return {
-            "name": "Before",
-            "caption": "The scans as they came, turned as they were, moved side by side",
-            **pose,
-            "t": [0.0, 0.0, 0.0],
-            "gap": SIDE_BY_SIDE,
-            "extent": 1.1,
-        }
-    reach = np.linalg.norm(np.concatenate([scene.source, scene.target]) - frame.origin, axis=1)
-    return {
-        "name": "Before",
-        "caption": "The scans as they came",
-        **pose,
-        "gap": 0.0,
-        "extent": max(1.1, 1.05 * float(np.quantile(reach, 0.99)) / frame.radius),
-    }
 
 
 def middle(points: NDArray[np.float64]) -> NDArray[np.float64]:

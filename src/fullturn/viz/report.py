@@ -62,7 +62,7 @@ def render_report(
     source_name: str = "source",
     target_name: str = "target",
 ) -> str:
-    """Return the text of the page that `write_report` writes; the same input gives the same text."""
+    """Return the page that `write_report` writes; the same input gives the same text."""
     scene = make_scene(
         source_points,
         target_points,
@@ -86,7 +86,9 @@ def render_report(
         method=tables.text(registration.method),
         view_buttons=view_buttons([view["name"] for view in payload["views"]]),
         far=length(scene.far),
-        drawn=drawn_note(scene.source_total, scene.target_total, len(scene.source), len(scene.target)),
+        drawn=drawn_note(
+            scene.source_total, scene.target_total, len(scene.source), len(scene.target)
+        ),
         probability=tables.probability(registration.success_probability),
         probability_bar=tables.probability_bar(registration),
         probability_note=tables.probability_note(registration),
@@ -116,4 +118,6 @@ def drawn_note(source_total: int, target_total: int, source_drawn: int, target_d
     """
     if (source_total, target_total) == (source_drawn, target_drawn):
         return f"{source_total:,} + {target_total:,} points"
-    return f"Drawn: {source_drawn:,} + {target_drawn:,} of {source_total:,} + {target_total:,} points"
+    return (
+        f"Drawn: {source_drawn:,} + {target_drawn:,} of {source_total:,} + {target_total:,} points"
+    )

@@ -150,7 +150,7 @@ def partner_distance(
     drawn: tuple[NDArray[np.float64], NDArray[np.float64]],
     trees: tuple[cKDTree, cKDTree],
 ) -> PartnerDistance:
-    """Measure in both directions; the target's points are moved back, so that no tree is rebuilt."""
+    """Measure in both directions; the target is moved back, so that no tree is rebuilt."""
     R, t = T_target_source[:3, :3], T_target_source[:3, 3]
     source, target = drawn
     return PartnerDistance(
@@ -159,9 +159,7 @@ def partner_distance(
     )
 
 
-def apply(
-    T_target_source: NDArray[np.float64], points: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def apply(T_target_source: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Move rows of points by a rigid motion: ``points @ R.T + t``."""
     return points @ T_target_source[:3, :3].T + T_target_source[:3, 3]
 

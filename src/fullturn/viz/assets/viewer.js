@@ -111,7 +111,7 @@
 
   // Pixels per radius, so that everything fits into the window at zoom 1.
   function fit(w, h) {
-    return 0.45 * camera.zoom * Math.min(h / now.extent, w / (now.extent + now.gap));
+    return 0.5 * camera.zoom * Math.min(h / now.extent, w / (now.extent + now.gap));
   }
 
   // --- drawing ------------------------------------------------------------------------------

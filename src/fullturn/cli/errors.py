@@ -1,0 +1,36 @@
+"""Turn what can go wrong on the command line into one line and an exit code."""
+
+from __future__ import annotations
+
+import functools
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import typer
+
+from fullturn.errors import FullturnError
+
+KNOWN_ERROR, BELOW_MINIMUM, INTERRUPTED = 1, 3, 130
+
+
+def known_errors(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Make a command end with 1 and one line for a known error, with 130 for Ctrl-C."""
+
+    @functools.wraps(command)
+    def guarded(*args: Any, **options: Any) -> Any:
+        try:
+            return command(*args, **options)
+        except FullturnError as error:
+            tell(f"error: {error}")
+            raise typer.Exit(KNOWN_ERROR) from None
+        except KeyboardInterrupt:
+            tell("interrupted")
+            raise typer.Exit(INTERRUPTED) from None
+
+    return guarded
+
+
+def tell(message: str) -> None:
+    """Print one line to standard error."""
+    print(f"fullturn: {' '.join(message.split())}", file=sys.stderr)

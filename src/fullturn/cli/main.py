@@ -1,0 +1,63 @@
+"""The command line: `fullturn VERB`. Each verb is a module that imports torch only when it runs."""
+
+from __future__ import annotations
+
+import sys
+from importlib import import_module
+from typing import Annotated
+
+import typer
+
+import fullturn
+from fullturn.cli.errors import INTERRUPTED, known_errors, tell
+
+# Verb → the module that holds a function of that name.
+_VERBS = {
+    "register": "fullturn.cli.register",
+    "methods": "fullturn.cli.methods",
+}
+
+
+def build_app() -> typer.Typer:
+    """The application with all its verbs."""
+    app = typer.Typer(
+        name="fullturn",
+        help="Register two partial 3D scans of an object under any pose.",
+        add_completion=False,
+        no_args_is_help=True,
+        pretty_exceptions_enable=False,
+    )
+    app.callback()(_options)
+    for verb, module in _VERBS.items():
+        app.command(verb)(known_errors(getattr(import_module(module), verb)))
+    return app
+
+
+def main() -> None:
+    """Run the command line.
+
+    Exit codes: 0 done, 1 known error (one line on standard error), 2 wrong usage, 3 done but below
+    --min-probability, 130 interrupted.
+    """
+    try:
+        build_app()()
+    except KeyboardInterrupt:
+        tell("interrupted")
+        sys.exit(INTERRUPTED)
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        print(f"fullturn {fullturn.__version__}")
+        raise typer.Exit
+
+
+def _options(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", callback=_show_version, is_eager=True, help="Print the version and stop."
+        ),
+    ] = False,
+) -> None:
+    pass

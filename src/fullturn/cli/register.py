@@ -1,0 +1,122 @@
+"""`fullturn register SOURCE TARGET`: the pose of one file's cloud in the frame of another's."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fullturn.cli.errors import BELOW_MINIMUM, tell
+
+
+def register(
+    source: Annotated[Path, typer.Argument(metavar="SOURCE", help="Cloud or mesh that is to be moved.")],
+    target: Annotated[Path, typer.Argument(metavar="TARGET", help="Cloud or mesh in whose frame it will stand.")],
+    out: Annotated[
+        Path | None, typer.Option(help="Write the 4×4 transform: .txt or .json.")
+    ] = None,
+    json: Annotated[
+        bool, typer.Option("--json", help="Print the result as one JSON object.")
+    ] = False,
+    save: Annotated[
+        Path | None, typer.Option(help="Write the moved source: .ply, .npy, .xyz, .txt or .csv.")
+    ] = None,
+    report: Annotated[
+        Path | None, typer.Option(help="Write a report: one self-contained .html file.")
+    ] = None,
+    figure: Annotated[
+        Path | None, typer.Option(help="Draw the clouds before and after: .png.")
+    ] = None,
+    method: Annotated[str, typer.Option(help="See `fullturn methods`.")] = "auto",
+    seed: Annotated[int, typer.Option(min=0, help="The same seed gives the same result.")] = 0,
+    min_probability: Annotated[
+        float | None,
+        typer.Option(min=0.0, max=1.0, help="Exit with 3 if the probability is below this."),
+    ] = None,
+    source_viewpoint: Annotated[
+        str | None, typer.Option(metavar="X,Y,Z", help="Where the sensor stood, in SOURCE's frame.")
+    ] = None,
+    target_viewpoint: Annotated[
+        str | None, typer.Option(metavar="X,Y,Z", help="Where the sensor stood, in TARGET's frame.")
+    ] = None,
+) -> None:
+    """Find the pose of SOURCE in the frame of TARGET, and the probability that it is right.
+
+    Files: PLY, PCD, XYZ, TXT, CSV, NPY, NPZ; meshes PLY, OBJ, STL, OFF, GLB.
+
+    Exit codes: 0 registered, 1 error, 2 wrong usage, 3 below --min-probability.
+    """
+    source_eye = _viewpoint(source_viewpoint, "--source-viewpoint")
+    target_eye = _viewpoint(target_viewpoint, "--target-viewpoint")
+    if math.isnan(min_probability or 0.0):
+        raise typer.BadParameter("--min-probability: expected a number from 0 to 1, got nan")
+
+    from fullturn.io.atomic import check_output
+    from fullturn.io.save import CLOUD_SUFFIXES, save_cloud
+    from fullturn.io.transform import TRANSFORM_SUFFIXES, write_transform
+
+    # Before the work, so that no result is lost to a wrong file name.
+    outputs = ((out, TRANSFORM_SUFFIXES), (save, CLOUD_SUFFIXES), (report, (".html", ".htm")))
+    for path, suffixes in (*outputs, (figure, (".png",))):
+        if path is not None:
+            check_output(path, suffixes)
+
+    from fullturn.io import load_cloud
+
+    source_cloud, target_cloud = load_cloud(source), load_cloud(target)
+
+    from fullturn.api import register as run
+    from fullturn.cli.render import print_json, print_table
+
+    result = run(
+        source_cloud,
+        target_cloud,
+        method=method,
+        seed=seed,
+        source_viewpoint=source_eye,
+        target_viewpoint=target_eye,
+    )
+    T = result.T_target_source
+    if out is not None:
+        write_transform(out, T)
+    if save is not None:
+        save_cloud(save, source_cloud.points @ T[:3, :3].T + T[:3, 3])
+    if report is not None:
+        from fullturn.viz.report import write_report
+
+        write_report(
+            report,
+            source_cloud.points,
+            target_cloud.points,
+            result,
+            source_name=source_cloud.name,
+            target_name=target_cloud.name,
+        )
+    if figure is not None:
+        from fullturn.viz.figures import save_figure
+
+        save_figure(figure, source_cloud.points, target_cloud.points, result)
+    if json:
+        print_json(result, source_name=str(source), target_name=str(target))
+    else:
+        print_table(result, source_name=str(source), target_name=str(target))
+    if min_probability is not None and result.success_probability < min_probability:
+        tell(
+            f"the probability {result.success_probability:.3f} is below the "
+            f"--min-probability {min_probability:g}"
+        )
+        raise typer.Exit(BELOW_MINIMUM)
+
+
+def _viewpoint(text: str | None, option: str) -> tuple[float, ...] | None:
+    if text is None:
+        return None
+    try:
+        place = tuple(float(x) for x in text.split(","))
+    except ValueError:
+        place = ()
+    if len(place) != 3 or not all(math.isfinite(x) for x in place):
+        raise typer.BadParameter(f"{option}: expected three numbers as in 0.1,-2,3; got {text!r}")
+    return place

@@ -1,0 +1,88 @@
+"""Show a registration: a short table for people, one JSON object for programs."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from fullturn.result import Registration
+
+
+def print_table(result: Registration, *, source_name: str, target_name: str) -> None:
+    """Print what matters of a registration as a compact table."""
+    T = result.T_target_source
+    table = Table(box=None, show_header=False, pad_edge=False)
+    table.add_column(style="bold", no_wrap=True)
+    table.add_column(overflow="fold")
+
+    def row(title: str, text: str) -> None:
+        table.add_row(title, Text(text))  # Text: a name may hold brackets that are no markup
+
+    row("source → target", f"{source_name} → {target_name}")
+    row("rotation", f"{rotation_deg(T):.2f}°")
+    row("translation", "  ".join(f"{x:.6g}" for x in T[:3, 3]))
+    row("probability", f"{result.success_probability:.3f} that this pose is the true one")
+    row("overlap", "{:.0%} of the source, {:.0%} of the target".format(*result.overlap))
+    for number, other in enumerate(result.alternatives, start=1):
+        angle_deg = rotation_deg(np.linalg.inv(T) @ other.T_target_source)
+        shares = "{:.0%} and {:.0%}".format(*other.overlap)
+        row(
+            f"alternative {number}",
+            f"probability {other.success_probability:.3f}, {angle_deg:.1f}° away, overlap {shares}",
+        )
+    if result.symmetry is not None:
+        row("symmetry", result.symmetry.description)
+    for note in result.notes:
+        row("note", note)
+    row("seconds", f"{result.seconds['total']:.2f} ({result.method})")
+    Console().print(table)
+
+
+def print_json(result: Registration, *, source_name: str, target_name: str) -> None:
+    """Print a registration as one JSON object on one line."""
+    symmetry = result.symmetry
+    content = {
+        "T_target_source": result.T_target_source.tolist(),
+        "success_probability": result.success_probability,
+        "overlap": list(result.overlap),
+        "method": result.method,
+        "seconds": result.seconds,
+        "rotation_deg": rotation_deg(result.T_target_source),
+        "alternatives": [
+            {
+                "T_target_source": other.T_target_source.tolist(),
+                "success_probability": other.success_probability,
+                "overlap": list(other.overlap),
+            }
+            for other in result.alternatives
+        ],
+        "symmetry": None
+        if symmetry is None
+        else {
+            "axis": symmetry.axis.tolist(),
+            "order": symmetry.order,
+            "description": symmetry.description,
+        },
+        "covariance": result.covariance.tolist(),
+        "matches": len(result.matches),
+        "notes": list(result.notes),
+        "source": source_name,
+        "target": target_name,
+    }
+    print(json.dumps(content))
+
+
+def rotation_deg(T_target_source: np.ndarray) -> float:
+    """The angle of a transform's rotation, in degrees.
+
+    >>> round(rotation_deg(np.diag([-1.0, -1.0, 1.0, 1.0])), 6)
+    180.0
+    """
+    R = T_target_source[:3, :3]
+    sine = np.linalg.norm([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+    return math.degrees(math.atan2(sine, np.trace(R) - 1.0))

@@ -1,0 +1,84 @@
+"""Rigorously rotation-invariant representation (RRI): a neighborhood seen from the cloud's center.
+
+After Chen et al., "ClusterNet" (CVPR 2019), with the tangent projection done exactly.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from fullturn.errors import InputError
+from fullturn.features.coordinates import delta_xyz
+
+
+def rri(
+    points: Float[Tensor, "*batch n 3"],
+    neighbor_index: Int[Tensor, "*batch n k"],
+    *,
+    center: Float[Tensor, "*batch 3"] | None = None,
+) -> Float[Tensor, "*batch n k 4"]:
+    """|p|, |q|, θ and φ of each neighbor q of each point p, both seen from `center`.
+
+    θ is the angle at the center between p and q (rad, [0, π]). φ is the smallest positive angle
+    about p, right-handed, from q's projection to the plane perpendicular to p to that of another
+    neighbor (rad, (0, 2π)): with the tangent angles sorted, the gap to the next one.
+
+    A neighbor without a tangent direction (the point itself, one straight above or below it, a
+    missing one) has φ = 0 and counts for no other; so has a neighbor that is the only one with a
+    direction, and every neighbor of a point at the center. `center` defaults to the mean of the
+    points, which makes the result invariant to translation too.
+
+    Raises InputError for fewer than two neighbors: φ compares them.
+    """
+    if neighbor_index.shape[-1] < 2:
+        raise InputError(
+            f"rri compares neighbors and needs at least 2 per point, got {neighbor_index.shape[-1]}"
+        )
+    if center is None:
+        center = points.mean(-2)
+    p = points - center[..., None, :]
+    # q and d = q − p have the same tangent projection, and d loses no digits where q is near p.
+    d = delta_xyz(points, neighbor_index).movedim(-1, 0).contiguous()
+    p = p.movedim(-1, 0)[..., None].contiguous()
+    q = p + d
+    p_length = p.square().sum(0).sqrt()
+    q_length = q.square().sum(0).sqrt()
+    cross_length = torch.linalg.cross(p.expand_as(q), q, dim=0).square().sum(0).sqrt()
+    theta = torch.atan2(cross_length, (p * q).sum(0))
+    phi = _turn_to_next(*_tangent(p / torch.where(p_length > 0, p_length, 1.0), d))
+    return torch.stack([p_length.expand_as(q_length), q_length, theta, phi], dim=-1)
+
+
+def _tangent(axis: Tensor, d: Tensor) -> tuple[Tensor, Tensor]:
+    """Angle of d about a unit axis, from an arbitrary zero, and where d has such an angle."""
+    x, y, z = axis
+    # A basis of the plane perpendicular to the axis that is never degenerate.
+    drop_y = x.abs() > y.abs()
+    zero = torch.zeros_like(x)
+    e1 = torch.stack(
+        [torch.where(drop_y, -z, zero), torch.where(drop_y, zero, z), torch.where(drop_y, x, -y)]
+    )
+    length = e1.square().sum(0).sqrt()
+    e1 = e1 / torch.where(length > 0, length, 1.0)
+    e2 = torch.linalg.cross(axis, e1, dim=0)
+    along_1, along_2 = (d * e1).sum(0), (d * e2).sum(0)
+    flat_sq = along_1.square() + along_2.square()
+    # Below this share of |d| the direction is nothing but rounding.
+    tolerance = 64 * torch.finfo(d.dtype).eps
+    return torch.atan2(along_2, along_1), flat_sq > tolerance**2 * d.square().sum(0)
+
+
+def _turn_to_next(angle: Tensor, valid: Tensor) -> Tensor:
+    """Gap from each angle to the next one in a full turn, in O(k log k)."""
+    ordered, order = torch.where(valid, angle, math.inf).sort(dim=-1, stable=True)
+    last = valid.sum(-1, keepdim=True) - 1
+    following = ordered.roll(-1, dims=-1)
+    place = torch.arange(angle.shape[-1], device=angle.device)
+    following = torch.where(place == last, ordered[..., :1] + 2 * math.pi, following)
+    has_other = (place <= last) & (last >= 1)
+    gap = torch.where(has_other, following - ordered, 0.0)
+    return torch.zeros_like(gap).scatter_(-1, order, gap)

@@ -1,0 +1,132 @@
+"""From candidate matches to distinct poses worth refining."""
+
+from __future__ import annotations
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from fullturn.matching.correspondence import Matches
+from fullturn.pose.grid import NearestGrid
+from fullturn.pose.kabsch import weighted_kabsch
+
+# Poses scored at once: their transformed points then stay in the processor's cache.
+_POSES_AT_ONCE = 128
+
+
+def compatibility(
+    matches: Matches,
+    source: Float[Tensor, "n 3"],
+    target: Float[Tensor, "m 3"],
+    source_normals: Float[Tensor, "n 3"],
+    target_normals: Float[Tensor, "m 3"],
+    *,
+    length_tolerance: float,
+    angle_tolerance: float = 0.4,
+) -> Float[Tensor, "k k"]:
+    """How well any two matches agree on one rigid motion, in [0, 1].
+
+    A rigid motion keeps the distance of two points and the angle of their normals (up to sign).
+    Agreement falls off as 1 − (difference/tolerance)², `angle_tolerance` being in |cosine|. Two
+    matches closer together than `length_tolerance` say nothing about rotation and get 0.
+    """
+    at, to = source[matches.source], target[matches.target]
+    at_normals, to_normals = source_normals[matches.source], target_normals[matches.target]
+    source_length, target_length = _distances(at), _distances(to)
+    apart = torch.minimum(source_length, target_length) > length_tolerance
+    agreement = _falloff(source_length - target_length, length_tolerance)
+    source_cosine = (at_normals @ at_normals.T).abs_()
+    target_cosine = (to_normals @ to_normals.T).abs_()
+    agreement *= _falloff(source_cosine - target_cosine, angle_tolerance)
+    return agreement * apart
+
+
+def seeded_poses(
+    matches: Matches,
+    source: Float[Tensor, "n 3"],
+    target: Float[Tensor, "m 3"],
+    agreement: Float[Tensor, "k k"],
+    *,
+    companions: int = 12,
+) -> Float[Tensor, "k 4 4"]:
+    """One pose per match: the best rigid motion of the match and the companions it has most with.
+
+    Second-order agreement counts, for two compatible matches, the matches compatible with both
+    (Chen et al., "SC²-PCR", CVPR 2022): right matches share many, wrong ones few, which finds
+    consistent sets even where most matches are wrong and several modes exist side by side.
+    """
+    count = len(matches.source)
+    compatible = (agreement > 0.3).to(agreement.dtype)
+    second_order = agreement * (compatible @ compatible)
+    weight, companion = second_order.topk(min(companions, count), dim=1)
+    seed = torch.arange(count, device=companion.device)[:, None]
+    members = torch.cat([seed, companion], 1)
+    weights = torch.cat([weight[:, :1], weight], 1)
+    return weighted_kabsch(
+        source[matches.source[members]], target[matches.target[members]], weights.clamp_min(1e-6)
+    )
+
+
+def score_poses(
+    points: Float[Tensor, "n 3"],
+    grid: NearestGrid,
+    T_grid_points: Float[Tensor, "k 4 4"],
+    *,
+    truncation: float,
+) -> Float[Tensor, " k"]:
+    """Mean over the points of max(0, 1 − d²/truncation²), d the distance to the grid's cloud."""
+    scores = []
+    for part in T_grid_points.split(_POSES_AT_ONCE):
+        moved = points @ part[:, :3, :3].mT + part[:, None, :3, 3]
+        difference, _ = grid.nearest(moved)
+        scores.append(_falloff(difference.square().sum(-1).sqrt_(), truncation).mean(-1))
+    return torch.cat(scores)
+
+
+def pose_coordinates(
+    T_target_source: Float[Tensor, "k 4 4"], source: Float[Tensor, "n 3"]
+) -> Float[Tensor, "k 12"]:
+    """Coordinates of poses in which Euclidean distance is the RMS displacement of the source.
+
+    With mean c and covariance S of the source points, mean |(T₁ − T₂)x|² is
+    |(R₁ − R₂) S^½|² + |(R₁c + t₁) − (R₂c + t₂)|².
+    """
+    mean = source.mean(0)
+    centered = source - mean
+    values, vectors = torch.linalg.eigh(centered.T @ centered / len(source))
+    root = vectors * values.clamp_min(0).sqrt()
+    R, t = T_target_source[:, :3, :3], T_target_source[:, :3, 3]
+    return torch.cat([(R @ root).flatten(1), R @ mean + t], 1)
+
+
+def distinct(
+    coordinates: Float[Tensor, "k c"],
+    scores: Float[Tensor, " k"],
+    *,
+    radius: float,
+    limit: int,
+) -> Int[Tensor, " m"]:
+    """Indices of the best-scored poses that lie at least `radius` apart, best first."""
+    order = torch.argsort(scores, descending=True, stable=True)
+    ordered = coordinates[order]
+    close = (torch.cdist(ordered, ordered) < radius).cpu().numpy()
+    free = torch.ones(len(order), dtype=torch.bool).numpy()
+    kept = []
+    for position in range(len(order)):
+        if free[position]:
+            kept.append(position)
+            if len(kept) == limit:
+                break
+            free &= ~close[position]
+    return order[torch.tensor(kept, device=order.device)]
+
+
+def _distances(points: Float[Tensor, "k 3"]) -> Float[Tensor, "k k"]:
+    return torch.cdist(points, points, compute_mode="donot_use_mm_for_euclid_dist")
+
+
+def _falloff(value: Float[Tensor, "*s"], tolerance: float) -> Float[Tensor, "*s"]:
+    """1 at zero, 0 from `tolerance` on, quadratic between; works in place on `value`."""
+    return value.mul_(1 / tolerance).square_().neg_().add_(1).clamp_min_(0)
+
+

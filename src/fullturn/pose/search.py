@@ -1,0 +1,151 @@
+"""From two clouds to a short list of distinct, refined, measured poses."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from fullturn.features.surface import surface_histogram
+from fullturn.geometry import rigid
+from fullturn.geometry.cloud import Cloud
+from fullturn.matching.correspondence import candidate_matches
+from fullturn.pose import hypotheses
+from fullturn.pose.grid import NearestGrid
+from fullturn.pose.levels import LevelPair, level_pair, thin_pair
+from fullturn.pose.refine import refine_poses
+from fullturn.pose.verify import measure, prepare_surface
+
+
+@dataclass(frozen=True)
+class SearchConfig:
+    """How wide the search is. Lengths are in point spacings of the level they are used at."""
+
+    coarse_points: int = 1000  # per cloud, for descriptors and hypotheses
+    verify_points: int = 2048  # per cloud, for the last refinement and the verdict
+    descriptor_radius: float = 14.0
+    match_limit: int = 1000
+    length_tolerance: float = 2.5  # between two matches of one rigid motion
+    score_truncation: float = 2.0
+    modes: int = 64  # distinct poses refined on the coarse level
+    mode_radius: float = 2.0  # RMS displacement that makes two poses distinct
+    finalists: int = 20  # distinct poses measured for the verdict
+
+
+@dataclass(frozen=True, eq=False)
+class Finalists:
+    """Distinct refined poses, and what verification measured of each."""
+
+    T_target_source: Float[Tensor, "k 4 4"]  # float64
+    features: Float[Tensor, "k f"]  # columns: `verify.FEATURES`
+    spacing: float  # of the level that they were measured at
+    seconds: dict[str, float]
+
+
+def find_finalists(
+    source: Cloud, target: Cloud, *, config: SearchConfig = SearchConfig()
+) -> Finalists:
+    """Search the full range of poses; deterministic, no starting guess, no radius to tune."""
+    clock = _Clock()
+    fine = thin_pair(source.points, target.points, limit=config.verify_points)
+    verify_level = level_pair(*fine)
+    coarse_level = verify_level
+    if max(len(fine[0]), len(fine[1])) > config.coarse_points:
+        thinned = thin_pair(*fine, limit=config.coarse_points)
+        coarse_level = level_pair(*thinned, support=fine)
+    clock.lap("levels")
+    T = _hypothesize(coarse_level, config, clock)
+    T = _refine_on_grids(coarse_level, T, config, clock)
+    if verify_level is not coarse_level:
+        T = _polish(verify_level, T, start=coarse_level.spacing)
+        clock.lap("refine")
+    h = verify_level.spacing
+    surfaces = [
+        prepare_surface(level.points, level.normals)
+        for level in (verify_level.source, verify_level.target)
+    ]
+    features = measure(T, surfaces[0], surfaces[1], spacing=h)
+    clock.lap("verify")
+    return Finalists(T.double(), features, h, clock.seconds)
+
+
+def _hypothesize(pair: LevelPair, config: SearchConfig, clock: _Clock) -> Tensor:
+    h, source, target = pair.spacing, pair.source, pair.target
+    radius = config.descriptor_radius * h
+    descriptors = [
+        surface_histogram(level.points, level.normals, radius=radius) for level in (source, target)
+    ]
+    clock.lap("describe")
+    matches = candidate_matches(*descriptors, limit=config.match_limit)
+    agreement = hypotheses.compatibility(
+        matches,
+        source.points,
+        target.points,
+        source.normals,
+        target.normals,
+        length_tolerance=config.length_tolerance * h,
+    )
+    clock.lap("match")
+    T = hypotheses.seeded_poses(matches, source.points, target.points, agreement)
+    clock.lap("hypothesize")
+    return T
+
+
+def _refine_on_grids(pair: LevelPair, T: Tensor, config: SearchConfig, clock: _Clock) -> Tensor:
+    h, source, target = pair.spacing, pair.source.points, pair.target.points
+    grids = [
+        NearestGrid(level.points, level.normals, cell=0.75 * h, band=3 * h)
+        for level in (pair.source, pair.target)
+    ]
+    few_source, few_target = source[::4], target[::4]
+    scores = hypotheses.score_poses(few_source, grids[1], T, truncation=2 * h)
+    coordinates = hypotheses.pose_coordinates(T, source)
+    kept = hypotheses.distinct(
+        coordinates, scores, radius=config.mode_radius * h, limit=config.modes
+    )
+    clock.lap("score")
+    T = refine_poses(
+        T[kept], source[::3], target[::3], *grids, scales=(3 * h,) * 3 + (2.5 * h,) * 3 + (2 * h,) * 3
+    )
+    both = _two_sided(source, target, grids, T, truncation=1.5 * h)
+    kept = hypotheses.distinct(
+        hypotheses.pose_coordinates(T, source), both, radius=h, limit=config.finalists
+    )
+    T = refine_poses(T[kept], source, target, *grids, scales=(1.5 * h,) * 3 + (1.2 * h,) * 4)
+    clock.lap("refine")
+    return T
+
+
+def _polish(pair: LevelPair, T: Tensor, *, start: float) -> Tensor:
+    """Refine on a finer level."""
+    h = pair.spacing
+    grids = [
+        NearestGrid(level.points, level.normals, cell=0.75 * h, band=2 * h)
+        for level in (pair.source, pair.target)
+    ]
+    scales = (2 * h,) * 4 + (1.5 * h,) * 3
+    return refine_poses(T, pair.source.points, pair.target.points, *grids, scales=scales)
+
+
+def _two_sided(
+    source: Tensor, target: Tensor, grids: list[NearestGrid], T: Tensor, *, truncation: float
+) -> Tensor:
+    forward = hypotheses.score_poses(source, grids[1], T, truncation=truncation)
+    back = hypotheses.score_poses(target, grids[0], rigid.invert(T), truncation=truncation)
+    return forward + back
+
+
+class _Clock:
+    """Wall-clock seconds per stage."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self._last = time.perf_counter()
+
+    def lap(self, stage: str) -> None:
+        now = time.perf_counter()
+        self.seconds[stage] = self.seconds.get(stage, 0.0) + now - self._last
+        self._last = now

@@ -1,0 +1,195 @@
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from fullturn.data.motion import move
+from fullturn.data.pair import Pair
+from fullturn.data.protocols import (
+    AXISYMMETRIC_CLASSES,
+    MODELNET40_CLASSES,
+    PROTOCOLS,
+    is_eligible,
+    make_pairs,
+)
+from fullturn.data.shapes import ProceduralShapes, ShapeSource
+from fullturn.errors import InputError
+
+
+class OneShapePerClass(ShapeSource):
+    """Random points in the unit ball under the 40 class names."""
+
+    def __len__(self) -> int:
+        return 40
+
+    def name(self, index: int) -> str:
+        return f"{MODELNET40_CLASSES[index]}_0"
+
+    def category(self, index: int) -> str:
+        return MODELNET40_CLASSES[index]
+
+    def points(self, index: int, count: int, rng: np.random.Generator) -> np.ndarray:
+        points = rng.normal(size=(count, 3))
+        return points / np.linalg.norm(points, axis=1, keepdims=True) * (0.2 + 0.02 * index)
+
+    def points_pair(
+        self, index: int, count: int, rng: np.random.Generator
+    ) -> tuple[np.ndarray, np.ndarray]:
+        return self.points(index, count, rng), self.points(index, count, rng)
+
+
+def draw(name: str, count: int, seed: int = 0) -> list[Pair]:
+    return list(make_pairs(PROTOCOLS[name], OneShapePerClass(), count=count, seed=seed))
+
+
+def angle_deg(pair: Pair) -> float:
+    return float(np.degrees(Rotation.from_matrix(pair.T_target_source[:3, :3]).magnitude()))
+
+
+def test_all_rows_are_there() -> None:
+    expected = {
+        *(f"modelnet40/{kind}/{angle}" for kind in ("clean", "noisy") for angle in (180, 45)),
+        "modelnet40/clean-resampled/180",
+        "modelnet40/noisy-resampled/180",
+    }
+    expected |= {f"{name}/unseen" for name in expected}
+    assert set(PROTOCOLS) == expected | {"geotransformer/180", "rpmnet/45", "predator/45"}
+
+
+@pytest.mark.parametrize("name", PROTOCOLS)
+def test_pairs_depend_on_seed_and_number_alone(name: str) -> None:
+    few, many, other = draw(name, 3), draw(name, 6), draw(name, 3, seed=1)
+    for a, b in zip(few, many, strict=False):
+        assert a.name == b.name
+        for field in ("source", "target", "T_target_source"):
+            assert getattr(a, field).tobytes() == getattr(b, field).tobytes()
+    assert not np.array_equal(few[0].source, other[0].source)
+
+
+@pytest.mark.parametrize("name", PROTOCOLS)
+def test_clouds_have_the_stated_size_and_a_rigid_truth(name: str) -> None:
+    pair = draw(name, 1)[0]
+    size = 768 if name.startswith("modelnet40") else 717
+    assert pair.source.shape == pair.target.shape == (size, 3)
+    assert pair.source.dtype == pair.target.dtype == np.float64
+    R = pair.T_target_source[:3, :3]
+    assert np.allclose(R @ R.T, np.eye(3))
+    assert np.linalg.det(R) == pytest.approx(1.0)
+    assert np.array_equal(pair.T_target_source[3], [0, 0, 0, 1])
+
+
+def test_clean_clouds_share_points_under_the_true_pose() -> None:
+    for pair in draw("modelnet40/clean/180", 20):
+        distance = cKDTree(pair.target).query(move(pair.T_target_source, pair.source))[0]
+        # 768 of 1,024 kept on both sides: at least half of all points are common.
+        assert np.mean(distance < 1e-9) >= 512 / 768
+
+
+def test_order_does_not_give_the_matches_away() -> None:
+    pair = draw("modelnet40/clean/180", 1)[0]
+    index = cKDTree(pair.target).query(move(pair.T_target_source, pair.source))[1]
+    assert abs(np.corrcoef(index, np.arange(len(index)))[0, 1]) < 0.15
+
+
+def test_noise_is_the_only_difference_between_clean_and_noisy() -> None:
+    pairs = zip(draw("modelnet40/clean/180", 20), draw("modelnet40/noisy/180", 20), strict=True)
+    noise = []
+    for clean, noisy in pairs:
+        assert np.array_equal(clean.T_target_source, noisy.T_target_source)
+        noise += [noisy.source - clean.source, noisy.target - clean.target]
+    assert np.std(noise) == pytest.approx(0.01, rel=0.02)
+    assert np.abs(noise).max() <= 0.05 + 1e-12
+
+
+def test_resampled_clouds_share_no_point_but_the_surface() -> None:
+    for pair in draw("modelnet40/clean-resampled/180", 10):
+        moved = move(pair.T_target_source, pair.source)
+        assert cKDTree(pair.target).query(moved)[0].min() > 0
+        # The test shapes are spheres: both clouds lie on the same one.
+        sphere = np.linalg.lstsq(
+            np.c_[2 * pair.target, np.ones(768)], (pair.target**2).sum(axis=1), rcond=None
+        )[0][:3]
+        radius = np.linalg.norm(pair.target - sphere, axis=1)
+        assert np.allclose(np.linalg.norm(moved - sphere, axis=1), radius.mean())
+
+
+def test_far_viewpoint_crop_cuts_both_clouds_along_the_diagonal() -> None:
+    diagonal = np.ones(3) / np.sqrt(3)
+    for pair in draw("modelnet40/clean/180", 20):
+        heights = []
+        for cloud in (pair.source, pair.target):
+            center = np.linalg.lstsq(
+                np.c_[2 * cloud, np.ones(768)], (cloud**2).sum(axis=1), rcond=None
+            )[0][:3]
+            heights.append((cloud.mean(axis=0) - center) @ diagonal)
+        # The same side of both posed spheres is kept.
+        assert np.sign(heights[0]) == np.sign(heights[1])
+
+
+@pytest.mark.parametrize(
+    ("name", "limit_deg"), [("modelnet40/clean/180", 180), ("modelnet40/noisy/45", 45)]
+)
+def test_relative_motion_fills_its_range(name: str, limit_deg: float) -> None:
+    pairs = draw(name, 400)
+    angles = [angle_deg(pair) for pair in pairs]
+    lengths = [np.linalg.norm(pair.T_target_source[:3, 3]) for pair in pairs]
+    assert max(angles) <= limit_deg + 1e-6
+    assert np.mean(angles) == pytest.approx(limit_deg / 2, rel=0.08)
+    assert max(lengths) <= 0.25
+    assert np.mean(lengths) == pytest.approx(0.125, rel=0.1)
+
+
+@pytest.mark.parametrize("name", ["geotransformer/180", "rpmnet/45", "predator/45"])
+def test_plane_protocols(name: str) -> None:
+    pairs = draw(name, 200)
+    shift = np.array([pair.T_target_source[:3, 3] for pair in pairs])
+    assert np.abs(shift).max() <= 0.5
+    assert np.abs(shift).mean() == pytest.approx(0.25, rel=0.1)
+    euler = np.array(
+        [Rotation.from_matrix(p.T_target_source[:3, :3]).as_euler("zyx") for p in pairs]
+    )
+    if name.endswith("/45"):
+        assert euler.min() >= 0.0
+        assert np.degrees(euler).max() <= 45.0
+    # Noise of 0.01 a coordinate around a sphere; overlap grows with the share that is kept.
+    keeps = {"geotransformer/180": 0.7, "rpmnet/45": 0.7, "predator/45": 0.5}[name]
+    assert PROTOCOLS[name].kept_share == keeps
+
+
+def test_categories_are_left_out_where_the_protocol_says_so() -> None:
+    seen = Counter(pair.name.removesuffix("_0") for pair in draw("geotransformer/180", 64))
+    assert set(seen) == set(MODELNET40_CLASSES) - AXISYMMETRIC_CLASSES
+    assert set(seen.values()) == {2}
+    unseen = {pair.name.removesuffix("_0") for pair in draw("rpmnet/45", 40)}
+    assert unseen == set(MODELNET40_CLASSES[20:])
+    everything = {pair.name for pair in draw("modelnet40/noisy/180", 40)}
+    assert len(everything) == 40
+
+
+def test_class_list_is_alphabetical() -> None:
+    assert list(MODELNET40_CLASSES) == sorted(MODELNET40_CLASSES)
+    assert len(MODELNET40_CLASSES) == 40
+
+
+def test_unknown_categories_are_eligible_everywhere() -> None:
+    assert all(is_eligible(protocol, "spaceship") for protocol in PROTOCOLS.values())
+
+
+def test_no_allowed_shape_is_an_error() -> None:
+    class OnlyVases(OneShapePerClass):
+        def category(self, index: int) -> str:
+            return "vase"
+
+    with pytest.raises(InputError, match="geotransformer/180"):
+        next(make_pairs(PROTOCOLS["geotransformer/180"], OnlyVases(), count=1))
+
+
+def test_generated_shapes_serve_as_well() -> None:
+    pairs = list(
+        make_pairs(PROTOCOLS["modelnet40/noisy-resampled/180"], ProceduralShapes(4), count=4)
+    )
+    assert {pair.name for pair in pairs} == {f"procedural_0_{i:05d}" for i in range(4)}

@@ -1,0 +1,47 @@
+"""Collinear clouds are refused at every place and scale, thin ones are not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fullturn.errors import InputError
+from fullturn.io import load_cloud
+
+RNG = np.random.default_rng(0)
+LINE = RNG.normal(size=(200, 1)) * np.array([[0.3, -0.5, 0.81]])
+PLANE = RNG.normal(size=(200, 2)) @ np.array([[1.0, 0.2, 0.1], [0.3, -0.5, 0.8]])
+
+
+@pytest.mark.parametrize("scale", [1e-100, 1e-6, 1.0, 1e6, 1e100])
+@pytest.mark.parametrize("offset", [0.0, 1.0, 1e6])
+@pytest.mark.parametrize("dtype", ["f8", "f4"])
+def test_lines_are_refused_anywhere(scale: float, offset: float, dtype: str) -> None:
+    if dtype == "f4":
+        scale = np.clip(scale, 1e-20, 1e20)
+    line = ((LINE + offset) * scale).astype(dtype)
+    with pytest.raises(InputError, match="lie on one line|distinct"):
+        load_cloud(line)
+
+
+@pytest.mark.parametrize("scale", [1e-100, 1e-3, 1.0, 1e3, 1e100])
+@pytest.mark.parametrize("offset", [0.0, 1e6])
+def test_planes_are_accepted(scale: float, offset: float) -> None:
+    load_cloud((PLANE + offset) * scale)
+
+
+def test_thin_shapes_are_accepted_down_to_the_stated_limit() -> None:
+    across = RNG.normal(size=(200, 1)) * np.array([[0.81, 0.0, -0.3]])
+    load_cloud(LINE + 1e-5 * across)
+    with pytest.raises(InputError, match="lie on one line"):
+        load_cloud(LINE + 1e-7 * across)
+
+
+def test_a_shape_that_single_precision_has_crushed_is_refused() -> None:
+    far = (RNG.normal(size=(200, 3)) + 1e8).astype(np.float32)
+    with pytest.raises(InputError, match="one line|distinct"):
+        load_cloud(far)
+
+
+def test_three_points_are_enough() -> None:
+    load_cloud([[0, 0, 0], [1, 0, 0], [0, 1, 0]])
