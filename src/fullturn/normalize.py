@@ -8,6 +8,7 @@ import numpy as np
 
 # Robust against a few stray points, and all but the radius of a clean cloud.
 _RADIUS_QUANTILE = 0.99
+_DUBIOUS = 0.05  # of the largest distance
 _UNLIKE = 10.0
 
 
@@ -46,7 +47,8 @@ def normalization_of(source: np.ndarray, target: np.ndarray) -> Normalization:
     """Centers are the means; the length is the larger of the two clouds' radii.
 
     A radius is the 99th percentile of the distances to the mean, so that a few stray points don't
-    shrink the rest; where that is nearly 0 (most points coincide), the largest distance.
+    shrink the rest. Where it is small beside the largest distance, copies count once: most of the
+    points may coincide.
     """
     source_center, source_radius = _center_and_radius(source)
     target_center, target_radius = _center_and_radius(target)
@@ -60,6 +62,13 @@ def normalization_of(source: np.ndarray, target: np.ndarray) -> Normalization:
 def _center_and_radius(points: np.ndarray) -> tuple[np.ndarray, float]:
     # Taking one point off first keeps the mean exact far from the origin.
     center = points[0] + (points - points[0]).mean(axis=0)
+    radius, largest = _radii(points, center)
+    if radius < _DUBIOUS * largest:
+        distinct = np.unique(points, axis=0)
+        radius, _ = _radii(distinct, distinct.mean(axis=0))
+    return center, radius
+
+
+def _radii(points: np.ndarray, center: np.ndarray) -> tuple[float, float]:
     distance = np.linalg.norm(points - center, axis=1)
-    radius, largest = float(np.quantile(distance, _RADIUS_QUANTILE)), float(distance.max())
-    return center, radius if radius > 1e-3 * largest else largest
+    return float(np.quantile(distance, _RADIUS_QUANTILE)), float(distance.max())

@@ -8,6 +8,7 @@ import small_gicp
 import torch
 
 from fullturn.errors import InputError
+from fullturn.geometry import normals as normals_module
 from fullturn.geometry.neighbors import knn
 from fullturn.geometry.normals import eigen_symmetric_3x3, estimate_normals
 from fullturn.geometry.rigid import random_rotations_uniform
@@ -206,6 +207,14 @@ def test_queries_get_the_normals_of_the_full_cloud() -> None:
     everywhere = estimate_normals(points, k=15).normals
     some = estimate_normals(points, k=15, queries=points[10:20]).normals
     torch.testing.assert_close(some, everywhere[10:20])
+
+
+def test_parts_do_not_change_the_result(monkeypatch: pytest.MonkeyPatch) -> None:
+    points = ellipsoid()
+    whole = estimate_normals(points)
+    monkeypatch.setattr(normals_module, "_NEIGHBORS_AT_ONCE", 1000)
+    parts = estimate_normals(points)
+    torch.testing.assert_close(parts.normals, whole.normals, rtol=0, atol=1e-12)
 
 
 def test_bad_arguments_are_named() -> None:

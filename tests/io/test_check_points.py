@@ -20,7 +20,7 @@ def test_lines_are_refused_anywhere(scale: float, offset: float, dtype: str) -> 
     if dtype == "f4":
         scale = np.clip(scale, 1e-20, 1e20)
     line = ((LINE + offset) * scale).astype(dtype)
-    with pytest.raises(InputError, match="lie on one line|distinct"):
+    with pytest.raises(InputError, match=r"lie on one line|distinct"):
         load_cloud(line)
 
 
@@ -39,7 +39,7 @@ def test_thin_shapes_are_accepted_down_to_the_stated_limit() -> None:
 
 def test_a_shape_that_single_precision_has_crushed_is_refused() -> None:
     far = (RNG.normal(size=(200, 3)) + 1e8).astype(np.float32)
-    with pytest.raises(InputError, match="one line|distinct"):
+    with pytest.raises(InputError, match=r"one line|distinct"):
         load_cloud(far)
 
 

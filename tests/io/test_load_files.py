@@ -119,7 +119,7 @@ def test_objects_are_never_unpickled(tmp_path: Path, monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(pickle, "load", forbidden)
     monkeypatch.setattr(pickle, "loads", forbidden)
     for name in ("a.npy", "a.npz", "b.npy"):
-        with pytest.raises(ReadError, match="Python objects|expected an NPY file"):
+        with pytest.raises(ReadError, match=r"Python objects|expected an NPY file"):
             load_cloud(tmp_path / name)
 
 

@@ -93,7 +93,7 @@ def test_meshes_in_memory_are_sampled() -> None:
         (np.tile(POINTS[:2], (9, 1)), "found 2 among 18"),
         (np.ones((5, 3)), "found 1 among 5"),
         (SimpleNamespace(points=None), "a file path, an .N, 3. array"),
-        (np.where(POINTS == POINTS[4, 1], np.nan, POINTS), "NaN or infinity, the first in row"),
+        (np.where(POINTS[4, 1] == POINTS, np.nan, POINTS), "NaN or infinity, the first in row"),
         (POINTS * 1e200, "rescale it"),
         (POINTS * 1e-200, "rescale it"),
     ],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import struct
 import time
 from pathlib import Path
@@ -88,10 +89,8 @@ def test_lzf_round_trip(piece: bytes, repeats: int) -> None:
 
 @given(st.binary(max_size=200), st.integers(0, 500))
 def test_lzf_of_garbage_is_the_size_or_an_error(data: bytes, size: int) -> None:
-    try:
+    with contextlib.suppress(ValueError):
         assert len(lzf_decompress(data, size)) == size
-    except ValueError:
-        pass
 
 
 @pytest.mark.parametrize(("is_ascii", "compressed"), [(True, False), (False, False), (False, True)])
@@ -112,7 +111,7 @@ def test_a_cloud_that_open3d_wrote(
 @pytest.mark.parametrize("keep", [0.2, 0.6, 0.95])
 def test_truncation_is_named(encoding: str, keep: float, points: np.ndarray) -> None:
     data = pcd(points, encoding)
-    with pytest.raises(ReadError, match="truncated|damaged"):
+    with pytest.raises(ReadError, match=r"truncated|damaged"):
         read_pcd(data[: int(keep * len(data))], "a.pcd")
 
 

@@ -15,6 +15,7 @@ from fullturn.cli.errors import INTERRUPTED, known_errors, tell
 _VERBS = {
     "register": "fullturn.cli.register",
     "methods": "fullturn.cli.methods",
+    "demo": "fullturn.cli.demo",
 }
 
 

@@ -12,8 +12,12 @@ from fullturn.cli.errors import BELOW_MINIMUM, tell
 
 
 def register(
-    source: Annotated[Path, typer.Argument(metavar="SOURCE", help="Cloud or mesh that is to be moved.")],
-    target: Annotated[Path, typer.Argument(metavar="TARGET", help="Cloud or mesh in whose frame it will stand.")],
+    source: Annotated[
+        Path, typer.Argument(metavar="SOURCE", help="Cloud or mesh that is to be moved.")
+    ],
+    target: Annotated[
+        Path, typer.Argument(metavar="TARGET", help="Cloud or mesh in whose frame it will stand.")
+    ],
     out: Annotated[
         Path | None, typer.Option(help="Write the 4×4 transform: .txt or .json.")
     ] = None,

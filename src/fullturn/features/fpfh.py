@@ -9,12 +9,13 @@ from __future__ import annotations
 import math
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float
 from torch import Tensor
 
-from fullturn.geometry.neighbors import gather, radius_neighbors
+from fullturn.geometry.neighbors import radius_neighbors
 
 _BINS = 11
+_PAIRS_AT_ONCE = 1 << 14
 
 
 def fpfh(
@@ -34,43 +35,55 @@ def fpfh(
     channels is that of Open3D: atan2(w·n_j, u·n_j), v·n_j, u·d/|d|. Coincident points make no
     pair.
     """
-    batch = points.shape[:-2]
-    n = points.shape[-2]
-    index, _ = radius_neighbors(points, points, radius, max_neighbors=max_neighbors)
-    d = (gather(points, index) - points[..., None, :]).movedim(-1, 0).contiguous()
-    distance_sq = d.square().sum(0)
-    paired = (index >= 0) & (distance_sq > 0)
-    spfh = _spfh(d, normals, index, paired)
+    *batch, n, _ = points.shape
+    index, distance = radius_neighbors(points, points, radius, max_neighbors=max_neighbors)
+    # One long list of points, whatever the batch; from here on row i and its neighbors index it.
+    points, normals = points.reshape(-1, 3), normals.reshape(-1, 3)
+    distance = distance.view(-1, max_neighbors)
+    first = torch.arange(len(points), device=points.device) // n * n
+    index = torch.where(index < 0, 0, index).view(-1, max_neighbors) + first[:, None]
+    paired = (distance > 0) & torch.isfinite(distance)
 
-    weights = torch.where(paired, 1 / torch.where(paired, distance_sq, 1.0), 0.0)
-    weighted = _weighted_sum(spfh.view(-1, 3 * _BINS), index, weights).view(*batch, n, 3, _BINS)
+    # In parts that stay in the processor's cache.
+    rows = max(1, _PAIRS_AT_ONCE // max_neighbors)
+    parts = zip(
+        points.split(rows), normals.split(rows), index.split(rows), paired.split(rows), strict=True
+    )
+    spfh = torch.cat(
+        [_spfh(points[j] - p[:, None], n_i, normals[j], on) for p, n_i, j, on in parts]
+    )
+
+    weights = torch.where(paired, 1 / torch.where(paired, distance, 1.0).square(), 0.0)
+    weighted = torch.nn.functional.embedding_bag(
+        index, spfh.flatten(-2), mode="sum", per_sample_weights=weights
+    ).view_as(spfh)
     total = weighted.sum(-1, keepdim=True)
-    return (spfh + 100 * weighted / torch.where(total > 0, total, 1.0)).flatten(-2)
+    features = spfh + 100 * weighted / torch.where(total > 0, total, 1.0)
+    return features.view(*batch, n, 3 * _BINS)
 
 
 def _spfh(
-    d: Tensor, normals: Tensor, index: Int[Tensor, "*batch n k"], paired: Tensor
-) -> Float[Tensor, "*batch n 3 11"]:
+    d: Float[Tensor, "m k 3"],
+    n_i: Float[Tensor, "m 3"],
+    n_j: Float[Tensor, "m k 3"],
+    paired: Bool[Tensor, "m k"],
+) -> Float[Tensor, "m 3 11"]:
     """Histograms of each point's own pairs, each summing to 100."""
-    angle, v_cosine, u_cosine, has_frame = _darboux(d, normals, index)
-    shares = torch.stack([angle / (2 * math.pi) + 0.5, v_cosine / 2 + 0.5, u_cosine / 2 + 0.5], -2)
+    angle, v_cosine, u_cosine, has_frame = _darboux(d, n_i[:, None].expand_as(n_j), n_j)
+    shares = torch.stack([angle / (2 * math.pi) + 0.5, v_cosine / 2 + 0.5, u_cosine / 2 + 0.5], 1)
     # A pair without a frame (d along the normal) has all three angles 0: the middle bins.
-    shares = torch.where(has_frame[..., None, :], shares, 0.5)
+    shares = torch.where(has_frame[:, None], shares, 0.5)
     bins = (shares * _BINS).floor().long().clamp_(0, _BINS - 1)
-    counts = torch.zeros((*bins.shape[:-1], _BINS), dtype=d.dtype, device=d.device)
+    counts = torch.zeros((len(d), 3, _BINS), dtype=d.dtype, device=d.device)
     # Sums of ones are exact in any order, so this is deterministic on every device.
-    ones = paired.to(d.dtype)[..., None, :].expand(bins.shape)
-    counts.scatter_add_(-1, bins, ones)
-    return counts * (100 / paired.sum(-1).clamp_min(1).to(d.dtype))[..., None, None]
+    counts.scatter_add_(-1, bins, paired.to(d.dtype)[:, None].expand(bins.shape))
+    return counts * (100 / paired.sum(-1).clamp_min(1).to(d.dtype))[:, None, None]
 
 
-def _darboux(d: Tensor, normals: Tensor, index: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """The angle and two cosines of each pair in its Darboux frame, and where it has a frame.
-
-    d comes with its components first.
-    """
-    n_j = gather(normals, index).movedim(-1, 0).contiguous()
-    n_i = normals.movedim(-1, 0)[..., None].expand_as(n_j)
+def _darboux(d: Tensor, n_i: Tensor, n_j: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """The angle and two cosines of each pair in its Darboux frame, and where it has a frame."""
+    # Components first: sums over them run along contiguous memory.
+    d, n_i, n_j = (vectors.movedim(-1, 0).contiguous() for vectors in (d, n_i, n_j))
     length = d.square().sum(0).sqrt()
     unit = d / torch.where(length > 0, length, 1.0)
     cosine_i, cosine_j = (n_i * unit).sum(0), (n_j * unit).sum(0)
@@ -89,13 +102,3 @@ def _darboux(d: Tensor, normals: Tensor, index: Tensor) -> tuple[Tensor, Tensor,
     w = torch.linalg.cross(u, v, dim=0)
     angle = torch.atan2((w * n_t).sum(0), (u * n_t).sum(0))
     return angle, (v * n_t).sum(0), u_cosine, has_frame
-
-
-def _weighted_sum(values: Tensor, index: Tensor, weights: Tensor) -> Tensor:
-    """Σ_j weights_j values[index_j] for each row, without holding all gathered rows at once."""
-    n, k = index.shape[-2:]
-    rows = index.clamp_min(0).view(-1, n, k)
-    rows = rows + n * torch.arange(len(rows), device=rows.device)[:, None, None]
-    return torch.nn.functional.embedding_bag(
-        rows.view(-1, k), values, mode="sum", per_sample_weights=weights.view(-1, k)
-    )

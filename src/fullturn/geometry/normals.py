@@ -14,6 +14,9 @@ from fullturn.geometry.neighbors import gather, knn, radius_neighbors
 
 Orientation = Literal["origin", "viewpoint", "centroid", "none"]
 
+# Neighbors whose coordinates are held at once: 3 MB in float64, whatever the size of the cloud.
+_NEIGHBORS_AT_ONCE = 1 << 17
+
 
 @dataclass(frozen=True, eq=False)
 class Normals:
@@ -63,7 +66,10 @@ def estimate_normals(
             f"neighbor_index must have one row per query, {at.shape[0]}, "
             f"got {neighbor_index.shape[0]}"
         )
-    eigenvalues, eigenvectors = eigen_symmetric_3x3(_covariance(points, at, neighbor_index))
+    rows = max(1, _NEIGHBORS_AT_ONCE // neighbor_index.shape[-1])
+    parts = zip(at.split(rows), neighbor_index.split(rows), strict=True)
+    covariance = torch.cat([_covariance(points, some, index) for some, index in parts])
+    eigenvalues, eigenvectors = eigen_symmetric_3x3(covariance)
     total = eigenvalues.sum(-1)
     variation = eigenvalues[:, 0] / torch.where(total > 0, total, 1.0)
     normals = _largest_positive(eigenvectors[..., 0])

@@ -75,7 +75,7 @@ def log_so3(R: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch 3"]:
     # Where small, w is near 1; elsewhere a safe stand-in keeps the unused branch finite.
     safe_w = torch.where(small, w, 1.0)
     x_sq = torch.where(small, length_sq, 0.0) / safe_w.square()
-    series = 2 / safe_w * _horner(x_sq, [1, -1 / 3, 1 / 5, -1 / 7, 1 / 9, -1 / 11])
+    series = 2 / safe_w * _horner(x_sq, [1.0, -1 / 3, 1 / 5, -1 / 7, 1 / 9, -1 / 11])
     return torch.where(small, series, 2 * torch.atan2(length, w) / length)[..., None] * v
 
 

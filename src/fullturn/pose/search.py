@@ -30,9 +30,9 @@ class SearchConfig:
     match_limit: int = 1000
     length_tolerance: float = 2.5  # between two matches of one rigid motion
     score_truncation: float = 2.0
-    modes: int = 64  # distinct poses refined on the coarse level
+    modes: int = 96  # distinct poses refined on the coarse level
     mode_radius: float = 2.0  # RMS displacement that makes two poses distinct
-    finalists: int = 20  # distinct poses measured for the verdict
+    finalists: int = 32  # distinct poses measured for the verdict
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,8 +63,9 @@ def find_finalists(
         T = _polish(verify_level, T, start=coarse_level.spacing)
         clock.lap("refine")
     h = verify_level.spacing
+    radius = config.descriptor_radius * h
     surfaces = [
-        prepare_surface(level.points, level.normals)
+        prepare_surface(level, surface_histogram(level.points, level.normals, radius=radius))
         for level in (verify_level.source, verify_level.target)
     ]
     features = measure(T, surfaces[0], surfaces[1], spacing=h)

@@ -125,7 +125,7 @@ def encode_points(
 ) -> dict[str, Any]:
     """Store points as 16-bit steps from their center, little-endian, x y z of each in turn."""
     steps = (points - center) / radius
-    step = (float(np.abs(steps).max()) if len(steps) else 0.0) / 32767 or 1.0
+    step = (float(np.abs(steps).max(initial=0.0)) or 1.0) / 32767
     return {"center": center.tolist(), "step": step, "int16": encode(steps / step, "<i2")}
 
 

@@ -32,8 +32,8 @@ def length_format(size: float) -> Callable[[float], str]:
     >>> length_format(0.15)(0.0123456), length_format(2000.0)(1234.56)
     ('0.01235', '1,234.6')
     """
-    decimals = 3 - math.floor(math.log10(size)) if 0 < size < math.inf else 4
-    if not -6 <= decimals <= 9:
+    decimals = 4 - math.floor(math.log10(size)) if 0 < size < math.inf else 5
+    if not -5 <= decimals <= 9:
         return lambda value: f"{value:.5g}"
     return lambda value: f"{value:,.{max(decimals, 0)}f}"
 

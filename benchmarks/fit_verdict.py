@@ -1,0 +1,154 @@
+"""Fit the verdict: which finalist is right, and is any of them?
+
+    python benchmarks/fit_verdict.py collect --out runs/verdict --count 4000 [--data DIR]
+    python benchmarks/fit_verdict.py fit --out runs/verdict
+
+`collect` makes pairs of many kinds (one sampling or two, noise or none, half-space and plane crops,
+virtual scans, few and many points, unrelated shapes) from generated shapes and, with --data, from
+the freely licensed meshes of a mesh pack; it runs the search and stores what verification measured
+of each finalist. It resumes where it stopped. `fit` trains on 80 % of the shapes, reports
+calibration on the rest, and writes the weights into the package.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import os
+from pathlib import Path
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import numpy as np
+import torch
+
+from fullturn.data.pair import Pair
+from fullturn.data.protocols import PROTOCOLS, make_pair
+from fullturn.data.scan import scan_pair
+from fullturn.data.shapes import MeshPack, MeshSource, ProceduralShapes
+from fullturn.data.solids import to_unit_ball
+from fullturn.errors import FullturnError
+from fullturn.geometry.cloud import Cloud
+from fullturn.pose.search import find_finalists
+
+FREE_SOURCES = ("sweethome3d", "gazebo", "bullet_random")
+KINDS = {  # name: share of the pairs
+    "noisy": 0.15,
+    "clean": 0.05,
+    "noisy-resampled": 0.20,
+    "clean-resampled": 0.08,
+    "plane": 0.22,
+    "scan": 0.22,
+    "unrelated": 0.08,
+}
+
+
+def draw_pair(shapes: list[MeshSource], seed: int, number: int) -> tuple[Pair, str, int]:
+    """Pair `number`: its kind and the shape that decides on training or test."""
+    rng = np.random.default_rng([seed, number])
+    source = shapes[int(rng.integers(len(shapes)))]
+    index = int(rng.integers(len(source)))
+    kind = str(rng.choice(list(KINDS), p=list(KINDS.values())))
+    if kind != "unrelated":
+        return _draw(source, index, kind, rng), kind, index
+    kinds = [k for k in KINDS if k != "unrelated"]
+    first = _draw(source, index, str(rng.choice(kinds)), rng)
+    other = (index + 1 + int(rng.integers(len(source) - 1))) % len(source)
+    second = _draw(source, other, str(rng.choice(kinds)), rng)
+    return dataclasses.replace(first, target=second.target), kind, index
+
+
+def _draw(source: MeshSource, index: int, kind: str, rng: np.random.Generator) -> Pair:
+    if kind == "scan":
+        mesh = to_unit_ball(source.raw_mesh(index))
+        return scan_pair(
+            mesh,
+            rng,
+            points=int(rng.integers(500, 3000)),
+            min_overlap=float(rng.uniform(0.2, 0.7)),
+            noise_sigma=float(rng.choice([0.0, 0.002, 0.005, 0.01])),
+        )
+    sigma = float(rng.choice([0.005, 0.01, 0.01, 0.015]))
+    if kind == "plane":
+        protocol = dataclasses.replace(
+            PROTOCOLS["geotransformer/180"],
+            kept_share=float(rng.uniform(0.5, 0.8)),
+            cloud_points=int(rng.integers(300, 800)),
+            noise_sigma=sigma if rng.random() < 0.8 else 0.0,
+        )
+    else:
+        points = int(rng.choice([512, 1024, 1024, 1024, 2048]))
+        protocol = dataclasses.replace(
+            PROTOCOLS[f"modelnet40/{kind}/180"],
+            sample_points=points,
+            cloud_points=points * 3 // 4,
+            noise_sigma=sigma if kind.startswith("noisy") else 0.0,
+        )
+    return make_pair(protocol, source, index, rng=rng)
+
+
+def normalize(pair: Pair) -> tuple[Cloud, Cloud, np.ndarray]:
+    c, d = pair.source.mean(0), pair.target.mean(0)
+    scale = max(
+        np.percentile(np.linalg.norm(points - center, axis=1), 99)
+        for points, center in ((pair.source, c), (pair.target, d))
+    )
+    T = pair.T_target_source.copy()
+    T[:3, 3] = (T[:3, :3] @ c + T[:3, 3] - d) / scale
+    return (
+        Cloud(torch.from_numpy((pair.source - c) / scale)),
+        Cloud(torch.from_numpy((pair.target - d) / scale)),
+        T,
+    )
+
+
+def collect(args: argparse.Namespace) -> None:
+    torch.set_num_threads(1)
+    shapes: list[MeshSource] = [ProceduralShapes(100_000, seed=args.seed)]
+    if args.data:
+        shapes.append(
+            MeshPack(Path(args.data) / "meshes_open.npz", split="train", sources=FREE_SOURCES)
+        )
+    args.out.mkdir(parents=True, exist_ok=True)
+    for first in range(args.first, args.count, args.shard):
+        path = args.out / f"finalists-{first:06d}.pt"
+        if path.exists():
+            continue
+        rows = []
+        for number in range(first, min(first + args.shard, args.count)):
+            try:
+                pair, kind, shape = draw_pair(shapes, args.seed, number)
+                source, target, T_true = normalize(pair)
+                found = find_finalists(source, target)
+            except FullturnError as error:
+                print(number, type(error).__name__, error, flush=True)
+                continue
+            rows.append(
+                {
+                    "kind": kind,
+                    "shape": shape,
+                    "T": found.T_target_source.float(),
+                    "T_true": None if kind == "unrelated" else torch.from_numpy(T_true).float(),
+                    "features": found.features,
+                    "spacing": found.spacing,
+                }
+            )
+        torch.save(rows, path)
+        print(path.name, len(rows), flush=True)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("step", choices=["collect", "fit"])
+    parser.add_argument("--out", type=Path, default=Path("runs/verdict"))
+    parser.add_argument("--count", type=int, default=4000)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--shard", type=int, default=50)
+    parser.add_argument("--seed", type=int, default=20)
+    parser.add_argument("--data", default=os.environ.get("FULLTURN_DATA"))
+    args = parser.parse_args()
+    collect(args)
+
+
+if __name__ == "__main__":
+    main()

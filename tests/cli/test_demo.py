@@ -1,0 +1,76 @@
+"""The demo writes what it says, with and without matplotlib, and tells its error honestly."""
+
+from __future__ import annotations
+
+import re
+import sys
+
+import numpy as np
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from fullturn.cli.demo import demo
+from fullturn.errors import WriteError
+from fullturn.evaluation.metrics import rotation_error_deg
+from fullturn.io import load_cloud, read_transform
+
+FILES = {"source.ply", "target.ply", "aligned.ply", "pose.txt", "report.html"}
+# A quick local method: what is tested here is the demo, not the registration.
+QUICK = ["--points", "400", "--method", "icp-point"]
+
+
+@pytest.fixture
+def run():
+    app = typer.Typer()
+    app.command()(demo)
+
+    def call(*arguments: str):
+        return CliRunner().invoke(app, [*arguments], catch_exceptions=False)
+
+    return call
+
+
+def test_it_writes_what_it_says(run, tmp_path):
+    pytest.importorskip("matplotlib")
+    out = tmp_path / "new" / "folder"
+    done = run("--out", str(out), *QUICK)
+    assert done.exit_code == 0
+    assert {path.name for path in out.iterdir()} == FILES | {"demo.png"}
+    T = read_transform(out / "pose.txt")
+    source, aligned = (load_cloud(out / f"{name}.ply").points for name in ("source", "aligned"))
+    np.testing.assert_allclose(aligned, source @ T[:3, :3].T + T[:3, 3], atol=1e-12)
+    assert len(load_cloud(out / "target.ply").points) == 400
+
+
+def test_the_error_is_measured_against_the_truth(run, tmp_path):
+    from fullturn.data.procedural import demo_object
+    from fullturn.data.scan import scan_pair
+
+    done = run("--out", str(tmp_path), "--seed", "3", *QUICK)
+    told_deg = float(re.search(r"([\d.]+)° in rotation", done.output).group(1))
+    rng = np.random.default_rng(3)
+    pair = scan_pair(demo_object(), rng, points=400, min_overlap=0.4)
+    found = read_transform(tmp_path / "pose.txt")
+    assert told_deg == pytest.approx(rotation_error_deg(found, pair.T_target_source), abs=1e-3)
+
+
+def test_without_matplotlib_only_the_picture_is_missing(run, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib.backends.backend_agg", None)
+    done = run("--out", str(tmp_path), *QUICK)
+    assert done.exit_code == 0
+    assert "fullturn[viz]" in done.output
+    assert {path.name for path in tmp_path.iterdir()} == FILES
+
+
+def test_the_same_seed_gives_the_same_scans(run, tmp_path):
+    for name in ("a", "b"):
+        run("--out", str(tmp_path / name), *QUICK)
+    for name in ("source.ply", "target.ply", "pose.txt"):
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+
+
+def test_an_unusable_folder_is_named(run, tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(WriteError, match="--out"):
+        run("--out", str(tmp_path / "file"), *QUICK)

@@ -1,0 +1,181 @@
+"""register_many: the loop's results, errors in their places, and a clean Ctrl-C."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fullturn import Registration, register_many
+from fullturn.api import RegistrationInterrupted
+from fullturn.errors import FullturnError, InputError, ReadError
+from fullturn.io import save_cloud
+
+CLOUD = np.random.default_rng(0).normal(size=(80, 3)) * (1.0, 0.7, 0.4)
+
+
+class Unsendable:
+    """Becomes points only in the process that made it."""
+
+    def __array__(self, dtype: Any = None, copy: Any = None) -> np.ndarray:
+        return CLOUD
+
+    def __reduce__(self) -> Any:
+        raise TypeError("not to be sent")
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_failing_pair_is_its_error_and_stops_no_other(workers: int, tmp_path: Path) -> None:
+    save_cloud(tmp_path / "a.ply", CLOUD)
+    pairs: list[Any] = [
+        (CLOUD, CLOUD),
+        (CLOUD[:2], CLOUD),
+        (tmp_path / "a.ply", CLOUD),
+        (tmp_path / "missing.ply", CLOUD),
+        "not a pair",
+        (CLOUD,),
+        (Unsendable(), CLOUD),
+        (CLOUD, None),
+        (CLOUD, CLOUD + 1),
+    ]
+    results = register_many(iter(pairs), method="icp-point", workers=workers)
+    kinds = [type(result) for result in results]
+    good, bad = Registration, InputError
+    assert kinds == [good, bad, good, ReadError, bad, bad, good, bad, good]
+    assert results[8].T_target_source[0, 3] == pytest.approx(1.0)  # type: ignore[union-attr]
+
+
+def test_no_pairs_and_wrong_arguments() -> None:
+    assert register_many([], method="icp-point") == []
+    for options in ({"workers": 0}, {"workers": 1.5}, {"method": "x"}, {"seed": -1}):
+        with pytest.raises(InputError):
+            register_many([(CLOUD, CLOUD)], **{"method": "icp-point", **options})  # type: ignore[arg-type]
+    for pairs in (None, 5, "ab"):
+        with pytest.raises(InputError, match="pairs"):
+            register_many(pairs, method="icp-point")  # type: ignore[arg-type]
+
+
+def test_a_fault_in_a_method_is_one_pairs_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    from fullturn.methods.classical.icp import IcpPoint
+
+    def broken(*_: Any, **__: Any) -> None:
+        raise ZeroDivisionError("a\nfault")
+
+    monkeypatch.setattr(IcpPoint, "estimate", broken)
+    (result,) = register_many([(CLOUD, CLOUD)], method="icp-point")
+    assert type(result) is FullturnError
+    assert str(result) == "unexpected ZeroDivisionError: a fault"
+
+
+def test_interrupted_in_this_process() -> None:
+    class Interrupt:
+        def __array__(self, dtype: Any = None, copy: Any = None) -> np.ndarray:
+            raise KeyboardInterrupt
+
+    pairs = [(CLOUD, CLOUD), (Interrupt(), CLOUD), (CLOUD, CLOUD)]
+    with pytest.raises(RegistrationInterrupted, match="1 of 3 pairs") as caught:
+        register_many(pairs, method="icp-point", workers=1, progress=True)
+    assert [type(r) for r in caught.value.results] == [Registration, type(None), type(None)]
+
+
+SCRIPT = """
+import json, multiprocessing
+import numpy as np
+import fullturn
+from fullturn.api import RegistrationInterrupted
+
+cloud = np.random.default_rng(0).normal(size=(300, 3)) * (1.0, 0.7, 0.4)
+
+class Mark:
+    def __array__(self, dtype=None, copy=None):
+        print("eight were given out", flush=True)
+        return cloud
+
+if __name__ == "__main__":
+    pairs = [(cloud, cloud)] * 8 + [(Mark(), cloud)] + [(cloud, cloud)] * 2000
+    try:
+        fullturn.register_many(pairs, method="icp-plane", workers=2)
+    except RegistrationInterrupted as stop:
+        done = [r is not None for r in stop.results]
+        alive = len(multiprocessing.active_children())
+        print(json.dumps([sum(done), len(done), done[0], alive]))
+        raise
+"""
+
+
+def start(path: Path, text: str) -> subprocess.Popen[str]:
+    path.write_text(text)
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    return subprocess.Popen(
+        [sys.executable, str(path)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        env=environment,
+    )
+
+
+def test_a_real_interrupt_keeps_the_finished_pairs(tmp_path: Path) -> None:
+    process = start(tmp_path / "script.py", SCRIPT)
+    assert process.stdout is not None
+    assert process.stdout.readline().strip() == "eight were given out"
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to the whole group
+    out, err = process.communicate(timeout=60)
+    done, total, first, alive = json.loads(out)
+    assert 6 <= done < total == 2009
+    assert first is True
+    assert alive == 0
+    assert process.returncode != 0
+    assert "RegistrationInterrupted" in err
+
+
+def test_a_script_without_a_guard_is_told_so(tmp_path: Path) -> None:
+    text = SCRIPT.replace('if __name__ == "__main__":', "if True:")
+    process = start(tmp_path / "script.py", text)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert "worker processes cannot start: call register_many from under" in err
+
+
+KILLER = """
+import os, signal, sys
+import numpy as np
+import fullturn
+from fullturn.methods.classical.icp import IcpPoint
+
+cloud = np.random.default_rng(0).normal(size=(100, 3)) * (1.0, 0.7, 0.4)
+honest = IcpPoint.estimate
+
+def estimate(self, source, target, *, rng):
+    if len(source.points) == 99:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return honest(self, source, target, rng=rng)
+
+IcpPoint.estimate = estimate
+
+if __name__ == "__main__":
+    pairs = [(cloud, cloud), (cloud[:99], cloud), (cloud, cloud), (cloud, cloud)]
+    for result in fullturn.register_many(pairs, method="icp-point", workers=2):
+        print(type(result).__name__, getattr(result, "args", ""))
+"""
+
+
+def test_a_worker_that_dies_costs_one_pair(tmp_path: Path) -> None:
+    process = start(tmp_path / "script.py", KILLER)
+    out, err = process.communicate(timeout=60)
+    lines = out.splitlines()
+    assert [line.split()[0] for line in lines] == [
+        "Registration",
+        "FullturnError",
+        "Registration",
+        "Registration",
+    ], err
+    assert "exit code -9" in lines[1]
