@@ -21,6 +21,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from fullturn.data.pair import Pair
 from fullturn.data.protocols import PROTOCOLS, make_pair
@@ -29,6 +30,7 @@ from fullturn.data.shapes import MeshPack, MeshSource, ProceduralShapes
 from fullturn.data.solids import to_unit_ball
 from fullturn.errors import FullturnError
 from fullturn.geometry.cloud import Cloud
+from fullturn.normalize import normalization_of
 from fullturn.pose.search import find_finalists
 
 FREE_SOURCES = ("sweethome3d", "gazebo", "bullet_random")
@@ -55,7 +57,10 @@ def draw_pair(shapes: list[MeshSource], seed: int, number: int) -> tuple[Pair, s
     first = _draw(source, index, str(rng.choice(kinds)), rng)
     other = (index + 1 + int(rng.integers(len(source) - 1))) % len(source)
     second = _draw(source, other, str(rng.choice(kinds)), rng)
-    return dataclasses.replace(first, target=second.target), kind, index
+    unrelated = dataclasses.replace(
+        first, target=second.target, target_viewpoint=second.target_viewpoint
+    )
+    return unrelated, kind, index
 
 
 def _draw(source: MeshSource, index: int, kind: str, rng: np.random.Generator) -> Pair:
@@ -87,17 +92,23 @@ def _draw(source: MeshSource, index: int, kind: str, rng: np.random.Generator) -
     return make_pair(protocol, source, index, rng=rng)
 
 
-def normalize(pair: Pair) -> tuple[Cloud, Cloud, np.ndarray]:
-    c, d = pair.source.mean(0), pair.target.mean(0)
-    scale = max(
-        np.percentile(np.linalg.norm(points - center, axis=1), 99)
-        for points, center in ((pair.source, c), (pair.target, d))
-    )
-    T = pair.T_target_source.copy()
-    T[:3, 3] = (T[:3, :3] @ c + T[:3, 3] - d) / scale
+def normalized(pair: Pair, *, viewpoints: bool) -> tuple[Cloud, Cloud, Tensor]:
+    """The two clouds as a method sees them, and the true pose between them."""
+    frame = normalization_of(pair.source, pair.target)
+
+    def cloud(points: np.ndarray, center: np.ndarray, viewpoint: np.ndarray | None) -> Cloud:
+        eye = None if viewpoint is None or not viewpoints else (viewpoint - center) / frame.length
+        return Cloud(
+            torch.from_numpy((points - center) / frame.length),
+            None if eye is None else torch.from_numpy(eye),
+        )
+
+    T = torch.from_numpy(pair.T_target_source.copy())
+    c, d = torch.from_numpy(frame.source_center), torch.from_numpy(frame.target_center)
+    T[:3, 3] = (T[:3, :3] @ c + T[:3, 3] - d) / frame.length
     return (
-        Cloud(torch.from_numpy((pair.source - c) / scale)),
-        Cloud(torch.from_numpy((pair.target - d) / scale)),
+        cloud(pair.source, frame.source_center, pair.source_viewpoint),
+        cloud(pair.target, frame.target_center, pair.target_viewpoint),
         T,
     )
 
@@ -118,7 +129,7 @@ def collect(args: argparse.Namespace) -> None:
         for number in range(first, min(first + args.shard, args.count)):
             try:
                 pair, kind, shape = draw_pair(shapes, args.seed, number)
-                source, target, T_true = normalize(pair)
+                source, target, T_true = normalized(pair, viewpoints=number % 2 == 0)
                 found = find_finalists(source, target)
             except FullturnError as error:
                 print(number, type(error).__name__, error, flush=True)
@@ -128,7 +139,7 @@ def collect(args: argparse.Namespace) -> None:
                     "kind": kind,
                     "shape": shape,
                     "T": found.T_target_source.float(),
-                    "T_true": None if kind == "unrelated" else torch.from_numpy(T_true).float(),
+                    "T_true": None if kind == "unrelated" else T_true.float(),
                     "features": found.features,
                     "spacing": found.spacing,
                 }

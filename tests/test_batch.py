@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from fullturn import Registration, register_many
-from fullturn.api import RegistrationInterrupted
+from fullturn.batch import RegistrationInterrupted
 from fullturn.errors import FullturnError, InputError, ReadError
 from fullturn.io import save_cloud
 
@@ -89,7 +89,7 @@ SCRIPT = """
 import json, multiprocessing
 import numpy as np
 import fullturn
-from fullturn.api import RegistrationInterrupted
+from fullturn.batch import RegistrationInterrupted
 
 cloud = np.random.default_rng(0).normal(size=(300, 3)) * (1.0, 0.7, 0.4)
 

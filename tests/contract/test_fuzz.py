@@ -42,8 +42,8 @@ def outcome(call: Callable[[], Any]) -> str:
 
 
 def random_array(rng: np.random.Generator) -> Any:
-    """Points of odd shapes, types and values, about a third of them usable."""
-    if rng.random() < 0.3:
+    """Points of odd shapes, types and values, few of them usable."""
+    if rng.random() < 0.55:
         shapes = [(3,), (7, 2), (3, 9), (2, 5, 3), (0, 3), (5, 0), (), (4, 4), (1, 3), (2, 3)]
         shape = shapes[rng.integers(len(shapes))]
     else:
@@ -86,7 +86,7 @@ def test_arrays_of_every_sort() -> None:
 
         came[outcome(call)] += 1
     assert set(came) == {"result", "InputError"}
-    assert min(came.values()) > ARRAYS // 10
+    assert min(came.values()) > ARRAYS // 12
 
 
 @pytest.mark.parametrize("method", names())

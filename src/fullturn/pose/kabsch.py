@@ -23,7 +23,7 @@ def weighted_kabsch(
     are finite everywhere: a direction that the pairs leave open gets gradient zero.
 
     >>> points = torch.eye(3, dtype=torch.float64)
-    >>> weighted_kabsch(points, points + 2.0, torch.ones(3, dtype=torch.float64))[:3, 3]
+    >>> weighted_kabsch(points, points + 2.0, torch.ones(3).double())[:3, 3].round()
     tensor([2., 2., 2.], dtype=torch.float64)
     """
     total = weights.sum(-1, keepdim=True)

@@ -24,9 +24,9 @@ from fullturn.pose.verify import measure, prepare_surface
 class SearchConfig:
     """How wide the search is. Lengths are in point spacings of the level they are used at."""
 
-    coarse_points: int = 1000  # per cloud, for descriptors and hypotheses
+    coarse_points: int = 800  # per cloud, for descriptors and hypotheses
     verify_points: int = 2048  # per cloud, for the last refinement and the verdict
-    descriptor_radius: float = 14.0
+    descriptor_radius: float = 12.0
     match_limit: int = 1000
     length_tolerance: float = 2.5  # between two matches of one rigid motion
     score_truncation: float = 2.0
@@ -63,10 +63,9 @@ def find_finalists(
         T = _polish(verify_level, T, start=coarse_level.spacing)
         clock.lap("refine")
     h = verify_level.spacing
-    radius = config.descriptor_radius * h
     surfaces = [
-        prepare_surface(level, surface_histogram(level.points, level.normals, radius=radius))
-        for level in (verify_level.source, verify_level.target)
+        prepare_surface(level, spacing=h, viewpoint=cloud.viewpoint)
+        for level, cloud in ((verify_level.source, source), (verify_level.target, target))
     ]
     features = measure(T, surfaces[0], surfaces[1], spacing=h)
     clock.lap("verify")
@@ -109,7 +108,11 @@ def _refine_on_grids(pair: LevelPair, T: Tensor, config: SearchConfig, clock: _C
     )
     clock.lap("score")
     T = refine_poses(
-        T[kept], source[::3], target[::3], *grids, scales=(3 * h,) * 3 + (2.5 * h,) * 3 + (2 * h,) * 3
+        T[kept],
+        source[::3],
+        target[::3],
+        *grids,
+        scales=(3 * h,) * 3 + (2.5 * h,) * 3 + (2 * h,) * 3,
     )
     both = _two_sided(source, target, grids, T, truncation=1.5 * h)
     kept = hypotheses.distinct(

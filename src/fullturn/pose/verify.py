@@ -10,6 +10,37 @@ from torch import Tensor
 
 from fullturn.geometry.neighbors import NeighborIndex, gather
 from fullturn.pose.levels import Level
+from fullturn.pose.visibility import DepthImage
+
+# What `measure` gives for each pose. All are averages of the two directions, then, for the ones in
+# _SIDED, how far the two directions differ. h is the point spacing, d the distance to the nearest
+# point of the other cloud; "near" means d < 1.5 h.
+_LOGARITHMIC = (
+    "distance_half",  # mean of min(d/h, 0.5)²
+    "distance_one",  # mean of min(d/h, 1)²
+    "distance_two",  # mean of min(d/h, 2)²
+    "plane",  # near: mean of min(height/h, 1)², height above the partner's tangent plane
+    "smooth_tight",  # near: as plane, between smoothed points, capped at 0.15
+    "smooth_half",  # ... at 0.5
+    "smooth_one",  # ... at 1
+)
+_LINEAR = (
+    "normals",  # near: mean of 1 − |cos| of the two normals
+    "overlap",  # share of points that are near
+    "overlap_tight",  # share with d < h and smoothed height < 0.2 h
+    "split",  # share that is near but more than 0.5 h apart across the surface
+    "conflict_low",  # share that hangs 1.5 h to 0.05 over the inside of the other surface
+    "conflict_middle",  # ... 0.05 to 0.1
+    "conflict_high",  # ... 0.1 to 0.25
+)
+_SIDED = ("distance_half", "distance_two", "plane", "smooth_half", "overlap", "conflict_middle")
+_SEEN = (
+    "sight_blocked",  # share of points in front of the surface that a known sensor saw
+    "sight_empty",  # share where that sensor saw nothing at all
+    "sight_known",  # share of the two sensors whose place is known
+)
+_RAW = _LOGARITHMIC + _LINEAR
+FEATURES = _RAW + tuple(f"{name}_sides" for name in _SIDED) + _SEEN
 
 
 @dataclass(frozen=True, eq=False)
@@ -17,16 +48,17 @@ class Surface:
     """A cloud prepared for verification."""
 
     points: Float[Tensor, "n 3"]
-    smooth: Float[Tensor, "n 3"]  # moved along the normal into the mean plane of the neighbors
     normals: Float[Tensor, "n 3"]
-    variation: Float[Tensor, " n"]
+    smooth: Float[Tensor, "n 3"]  # moved along the normal into the mean plane of the neighbors
     interior: Bool[Tensor, " n"]  # False on the rim of a partial cloud
     index: NeighborIndex
-    descriptors: Float[Tensor, "n c"]
+    image: DepthImage | None  # what the sensor saw, where its place is known
 
 
-def prepare_surface(level: Level, descriptors: Tensor, *, neighbors: int = 12) -> Surface:
-    """The cloud with its k-d tree, its smoothed points and its rim.
+def prepare_surface(
+    level: Level, *, spacing: float, viewpoint: Float[Tensor, "3"] | None, neighbors: int = 12
+) -> Surface:
+    """The cloud with its k-d tree, its smoothed points, its rim and its depth image.
 
     On the rim all neighbors lie on one side: their mean is off by more than 0.35 of their mean
     distance, along the surface.
@@ -35,72 +67,72 @@ def prepare_surface(level: Level, descriptors: Tensor, *, neighbors: int = 12) -
     index = NeighborIndex(points)
     neighbor, _ = index.knn(points, min(neighbors, len(points)))
     offset = gather(points, neighbor) - points[:, None]
-    height = (offset * normals[:, None]).sum(-1)
-    along = offset - height[..., None] * normals[:, None]
-    lean = along.mean(1).norm(dim=-1)
-    interior = lean < 0.35 * along.norm(dim=-1).mean(1)
-    smooth = points + height.mean(1, keepdim=True) * normals
-    variation = (height - height.mean(1, keepdim=True)).square().mean(1) / along.square().sum(
-        -1
-    ).mean(1).clamp_min(1e-12)
-    return Surface(points, smooth, normals, variation.sqrt(), interior, index, descriptors)
+    height = (offset * normals[:, None]).sum(-1, keepdim=True)
+    along = offset - height * normals[:, None]
+    interior = along.mean(1).norm(dim=-1) < 0.35 * along.norm(dim=-1).mean(1)
+    smooth = points + height.mean(1) * normals
+    image = None
+    if viewpoint is not None:
+        image = DepthImage(points, viewpoint.to(points.dtype), spacing=spacing)
+    return Surface(points, normals, smooth, interior, index, image)
 
 
 def measure(
     T_target_source: Float[Tensor, "k 4 4"], source: Surface, target: Surface, *, spacing: float
-) -> Float[Tensor, "k 2 f"]:
-    R, t = T_target_source[:, :3, :3], T_target_source[:, :3, 3]
+) -> Float[Tensor, "k f"]:
+    """One row of `FEATURES` per pose; lengths are normalized (`Cloud`), `spacing` is h."""
+    R, t = T_target_source[:, :3, :3], T_target_source[:, None, :3, 3]
+    there = source.points @ R.mT + t
+    back = (target.points - t) @ R
+    forward = _one_side(there, source.smooth @ R.mT + t, source.normals @ R.mT, target, spacing)
+    backward = _one_side(back, (target.smooth - t) @ R, target.normals @ R, source, spacing)
+    sided = [_RAW.index(name) for name in _SIDED]
+    seen = torch.zeros_like(forward[:, :3])
+    for image, points in ((target.image, there), (source.image, back)):
+        if image is not None:
+            seen[:, :2] += image.violations(points) / 2
+            seen[:, 2] += 0.5
+    differences = (forward - backward)[:, sided].abs()
+    return torch.cat([(forward + backward) / 2, differences, seen], 1)
 
-    def to_target(x: Tensor) -> Tensor:
-        return x @ R.mT + t[:, None]
 
-    def to_source(x: Tensor) -> Tensor:
-        return (x - t[:, None]) @ R
-
-    forward = _one_side(
-        to_target(source.points), to_target(source.smooth), source.normals @ R.mT, source, target, spacing
-    )
-    back = _one_side(
-        to_source(target.points), to_source(target.smooth), target.normals @ R, target, source, spacing
-    )
-    return torch.stack([forward, back], 1)
-
-
-def _one_side(moved, moved_smooth, moved_normals, own: Surface, surface: Surface, h: float):
-    k, n, _ = moved.shape
-    partner, distance = surface.index.nearest(moved.reshape(-1, 3))
-    partner, distance = partner.view(k, n), distance.view(k, n)
+def _one_side(
+    points: Float[Tensor, "k n 3"],
+    smooth: Float[Tensor, "k n 3"],
+    normals: Float[Tensor, "k n 3"],
+    other: Surface,
+    h: float,
+) -> Float[Tensor, "k f"]:
+    """The raw features of points moved onto the other surface, in the order of `_RAW`."""
+    partner, distance = other.index.nearest(points.reshape(-1, 3))
+    partner, distance = partner.view(points.shape[:2]), distance.view(points.shape[:2])
+    partner_normals = other.normals[partner]
+    height = ((points - other.points[partner]) * partner_normals).sum(-1).abs()
+    smooth_height = ((smooth - other.smooth[partner]) * partner_normals).sum(-1).abs() / h
+    cosine = (normals * partner_normals).sum(-1).abs()
     d = distance / h
-    normal = surface.normals[partner]
-    height = ((moved - surface.points[partner]) * normal).sum(-1).abs()
-    smooth = ((moved_smooth - surface.smooth[partner]) * normal).sum(-1).abs() / h
     near = (d < 1.5).to(d.dtype)
     count = near.sum(-1).clamp_min(1)
-    def over(x): return (x * near).sum(-1) / count
-    plane = (height / h).clamp_max(1).square()
-    cosine = (moved_normals * normal).sum(-1).abs()
-    curv = (own.variation - surface.variation[partner]).abs()
-    desc = (own.descriptors * surface.descriptors[partner]).sum(-1)
-    above = surface.interior[partner] & (height > 0.5 * distance) & (d > 1)
-    def share(x): return x.to(d.dtype).mean(-1)
-    return torch.stack(
-        [
-            d.clamp_max(0.25).square().mean(-1),
-            d.clamp_max(0.5).square().mean(-1),
-            d.clamp_max(1.0).square().mean(-1),
-            d.clamp_max(2.0).square().mean(-1),
-            over(plane),
-            over(smooth.clamp_max(0.15).square()),
-            over(smooth.clamp_max(0.5).square()),
-            over(smooth.clamp_max(1.0).square()),
-            over(1 - cosine),
-            over(curv),
-            over(1 - desc),
-            share(d < 1.5),
-            share((d < 1.0) & (smooth < 0.2)),
-            share(above & (distance > 0.05) & (distance < 0.25)),
-            share(above & (distance > 0.025) & (distance < 0.1)),
-            share((d < 1.5) & (smooth > 0.5)),
-        ],
-        -1,
-    )
+
+    def near_mean(value: Tensor) -> Tensor:
+        return (value * near).sum(-1) / count
+
+    def share(mask: Tensor) -> Tensor:
+        return mask.to(d.dtype).mean(-1)
+
+    logarithmic = [d.clamp_max(cap).square().mean(-1) for cap in (0.5, 1.0, 2.0)]
+    logarithmic.append(near_mean((height / h).clamp_max(1).square()))
+    logarithmic += [near_mean(smooth_height.clamp_max(cap).square()) for cap in (0.15, 0.5, 1.0)]
+    # Over the inside, not beyond the rim, and above it rather than beside it: a surface should
+    # have been seen there.
+    hangs = other.interior[partner] & (height > 0.5 * distance) & (d > 1.5)
+    linear = [
+        near_mean(1 - cosine),
+        share(d < 1.5),
+        share((d < 1) & (smooth_height < 0.2)),
+        share((d < 1.5) & (smooth_height > 0.5)),
+        share(hangs & (distance <= 0.05)),
+        share(hangs & (distance > 0.05) & (distance <= 0.1)),
+        share(hangs & (distance > 0.1) & (distance <= 0.25)),
+    ]
+    return torch.cat([(torch.stack(logarithmic, -1) + 1e-6).log(), torch.stack(linear, -1)], -1)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fullturn.viz.scene import SPACINGS_TO_FAR, apply, viewing_axes
+from fullturn.viz.tables import probability
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -106,7 +107,7 @@ def make_views(scene: Scene, registration: Registration, frame: Frame) -> list[d
         views.append(
             {
                 "name": f"Alternative {rank}",
-                "caption": f"Another pose, with probability {other.success_probability:.2g}",
+                "caption": f"Another pose, probability {probability(other.success_probability)}",
                 "near": distances,
                 **frame.pose(other.T_target_source),
                 **close,
