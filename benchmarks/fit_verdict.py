@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import json
 import os
 from pathlib import Path
 
@@ -21,6 +22,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 import torch
+from safetensors.torch import save_file
 from torch import Tensor
 
 from fullturn.data.pair import Pair
@@ -29,9 +31,17 @@ from fullturn.data.scan import scan_pair
 from fullturn.data.shapes import MeshPack, MeshSource, ProceduralShapes
 from fullturn.data.solids import to_unit_ball
 from fullturn.errors import FullturnError
+from fullturn.evaluation.metrics import expected_calibration_error
 from fullturn.geometry.cloud import Cloud
 from fullturn.normalize import normalization_of
 from fullturn.pose.search import find_finalists
+from fullturn.pose.verdict import (
+    VerdictWeights,
+    log_probabilities,
+    same_pose,
+    verdict_inputs,
+)
+from fullturn.pose.verify import FEATURES
 
 FREE_SOURCES = ("sweethome3d", "gazebo", "bullet_random")
 KINDS = {  # name: share of the pairs
@@ -148,17 +158,138 @@ def collect(args: argparse.Namespace) -> None:
         print(path.name, len(rows), flush=True)
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class Table:
+    """All collected pairs, padded to the largest number of finalists."""
+
+    features: Tensor  # (pairs, k, f)
+    present: Tensor  # (pairs, k)
+    right: Tensor  # (pairs, k): within the tolerance of the truth
+    same: Tensor  # (pairs, k, k): within the tolerance of one another
+    kind: np.ndarray
+    shape: np.ndarray
+
+
+def load_table(folder: Path) -> Table:
+    rows = [row for f in sorted(folder.glob("*.pt")) for row in torch.load(f, weights_only=False)]
+    k = max(len(row["features"]) for row in rows)
+    n, width = len(rows), len(FEATURES)
+    features = torch.zeros(n, k, width, dtype=torch.float64)
+    present, right = torch.zeros(n, k, dtype=torch.bool), torch.zeros(n, k, dtype=torch.bool)
+    same = torch.zeros(n, k, k, dtype=torch.bool)
+    for i, row in enumerate(rows):
+        count = len(row["features"])
+        features[i, :count] = row["features"]
+        present[i, :count] = True
+        same[i, :count, :count] = same_pose(row["T"], row["T"])
+        if row["T_true"] is not None:
+            right[i, :count] = same_pose(row["T"], row["T_true"][None])[:, 0]
+    return Table(
+        features,
+        present,
+        right,
+        same,
+        np.array([row["kind"] for row in rows]),
+        np.array([row["shape"] for row in rows]),
+    )
+
+
+def fit(args: argparse.Namespace) -> None:
+    table = load_table(args.out)
+    rng = np.random.default_rng(args.seed)
+    shapes = np.unique(table.shape)
+    held_out = torch.from_numpy(
+        np.isin(table.shape, rng.choice(shapes, len(shapes) // 5, replace=False))
+    )
+    inputs = verdict_inputs(table.features, table.present)
+    of_train = inputs[~held_out][table.present[~held_out]]
+    mean, deviation = of_train.mean(0), of_train.std(0) + 1e-6
+    generator = torch.Generator().manual_seed(args.seed)
+    width = inputs.shape[-1]
+    hidden = torch.randn(width, args.hidden, generator=generator, dtype=torch.float64)
+    parameters = [
+        (hidden / width**0.5).requires_grad_(),
+        torch.zeros(args.hidden, dtype=torch.float64, requires_grad=True),
+        torch.zeros(args.hidden, dtype=torch.float64, requires_grad=True),
+        torch.zeros((), dtype=torch.float64, requires_grad=True),
+    ]
+
+    def weights() -> VerdictWeights:
+        return VerdictWeights(mean, deviation, *parameters)
+
+    def loss(rows: Tensor) -> Tensor:
+        log_p = log_probabilities(inputs[rows], weights(), table.present[rows])
+        none_right = ~table.right[rows].any(1, keepdim=True)
+        right = torch.cat([table.right[rows], none_right], 1)
+        return -torch.logsumexp(log_p.masked_fill(~right, -1e9), 1).mean()
+
+    train = torch.nonzero(~held_out)[:, 0]
+    test = torch.nonzero(held_out)[:, 0]
+    optimizer = torch.optim.AdamW(parameters, lr=5e-3, weight_decay=args.weight_decay)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, args.steps)
+    for step in range(args.steps):
+        rows = train[torch.randperm(len(train), generator=generator)[:512]]
+        optimizer.zero_grad()
+        value = loss(rows)
+        value.backward()
+        optimizer.step()
+        schedule.step()
+        if step % 200 == 0:
+            with torch.no_grad():
+                print(f"step {step}: train {value.item():.3f}, held out {loss(test).item():.3f}")
+    final = VerdictWeights(mean, deviation, *(p.detach() for p in parameters))
+    report(table, test, inputs, final)
+    metadata = {
+        "features": json.dumps(FEATURES),
+        "card": "see verdict.md beside this file",
+    }
+    save_file(
+        {k: v.contiguous() for k, v in dataclasses.asdict(final).items()},
+        args.weights,
+        metadata=metadata,
+    )
+    print("wrote", args.weights)
+
+
+def report(table: Table, rows: Tensor, inputs: Tensor, weights: VerdictWeights) -> None:
+    """Accuracy and calibration of the answer on pairs that the fit has not seen."""
+    with torch.no_grad():
+        p = log_probabilities(inputs[rows], weights, table.present[rows]).exp()[:, :-1]
+    merged = (table.same[rows].double() @ p[..., None])[..., 0]
+    best = merged.argmax(1, keepdim=True)
+    stated = merged.gather(1, best)[:, 0].numpy()
+    right = table.right[rows].gather(1, best)[:, 0].numpy()
+    kinds = table.kind[rows.numpy()]
+    print(f"{'kind':16s} {'n':>5s} {'any':>6s} {'right':>6s} {'stated':>6s} {'ECE':>6s}")
+    for kind in ["all", *KINDS]:
+        of = np.ones(len(kinds), bool) if kind == "all" else kinds == kind
+        found = table.right[rows].any(1).numpy()[of].mean()
+        ece = expected_calibration_error(stated[of], right[of])
+        print(
+            f"{kind:16s} {of.sum():5d} {found:6.3f} {right[of].mean():6.3f} "
+            f"{stated[of].mean():6.3f} {ece:6.3f}"
+        )
+    unrelated = stated[kinds == "unrelated"]
+    print(f"unrelated pairs with at most 0.2: {np.mean(unrelated <= 0.2):.3f}")
+
+
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("step", choices=["collect", "fit"])
-    parser.add_argument("--out", type=Path, default=Path("runs/verdict"))
-    parser.add_argument("--count", type=int, default=4000)
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--shard", type=int, default=50)
+    parser.add_argument("--out", type=Path, default=Path("runs/verdict"), help="folder of the pairs")
+    parser.add_argument("--count", type=int, default=5000, help="pairs to collect")
+    parser.add_argument("--first", type=int, default=0, help="number of the first pair")
+    parser.add_argument("--shard", type=int, default=50, help="pairs a file")
     parser.add_argument("--seed", type=int, default=20)
-    parser.add_argument("--data", default=os.environ.get("FULLTURN_DATA"))
+    parser.add_argument("--data", default=os.environ.get("FULLTURN_DATA"), help="mesh packs")
+    parser.add_argument("--hidden", type=int, default=16)
+    parser.add_argument("--steps", type=int, default=2000)
+    parser.add_argument("--weight-decay", type=float, default=0.05)
+    parser.add_argument(
+        "--weights", type=Path, default=Path("src/fullturn/weights/verdict.safetensors")
+    )
     args = parser.parse_args()
-    collect(args)
+    {"collect": collect, "fit": fit}[args.step](args)
 
 
 if __name__ == "__main__":

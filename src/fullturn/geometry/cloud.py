@@ -9,6 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from fullturn.geometry.neighbors import NeighborIndex
+from fullturn.geometry.sampling import point_spacing
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,3 +27,8 @@ class Cloud:
     def index(self) -> NeighborIndex:
         """Nearest neighbors at full resolution; built once, on first use."""
         return NeighborIndex(self.points)
+
+    @cached_property
+    def spacing(self) -> float:
+        """Median distance between neighboring points."""
+        return point_spacing(self.points, index=self.index)

@@ -81,10 +81,11 @@ def voxel_sample(
     return means, order[first.scatter_reduce_(0, voxel, position, "amin")]
 
 
-def point_spacing(points: Float[Tensor, "n 3"]) -> float:
+def point_spacing(points: Float[Tensor, "n 3"], *, index: NeighborIndex | None = None) -> float:
     """Median distance from a point to the nearest other point that does not coincide with it.
 
-    At most 2,000 points, evenly spread over the rows, are asked.
+    At most 2,000 points, evenly spread over the rows, are asked. `index` is a tree of the same
+    points, where there is one already.
 
     >>> point_spacing(torch.tensor([[0.0, 0, 0], [0, 0, 0], [2, 0, 0], [4, 0, 0]]))
     2.0
@@ -92,7 +93,7 @@ def point_spacing(points: Float[Tensor, "n 3"]) -> float:
     n = len(points)
     step = max(1, -(-n // _SPACING_QUERIES))
     queries = points[::step]
-    distance = NeighborIndex(points).knn(queries, 2)[1][:, 1] if n > 1 else torch.zeros(0)
+    distance = (index or NeighborIndex(points)).knn(queries, 2)[1][:, 1] if n > 1 else torch.zeros(0)
     if n > 1 and bool((distance == 0).any()):
         distinct = torch.unique(points.detach(), dim=0)
         n = len(distinct)

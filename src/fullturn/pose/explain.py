@@ -11,48 +11,70 @@ from torch import Tensor
 
 from fullturn.geometry import rigid
 from fullturn.geometry.cloud import Cloud
-from fullturn.geometry.neighbors import NeighborIndex
-from fullturn.geometry.sampling import point_spacing
+from fullturn.pose.fine import fine_pair
+from fullturn.pose.uncertainty import pose_covariance
+
+# Shares and the noise are measured at no more than this many points of each cloud.
+_MAX_SAMPLES = 10_000
+# Farther apart than this (normalized) no noise carries a point.
+_NOISE_REACH = 0.05
 
 
 @dataclass(frozen=True, eq=False)
 class Explanation:
     """What a pose says about two clouds, in normalized lengths."""
 
-    overlap: tuple[float, float]
-    matches: np.ndarray
-    match_weights: np.ndarray
-    covariance: np.ndarray
+    overlap: tuple[float, float]  # (source share, target share) with a partner
+    matches: np.ndarray  # (K, 2) int64
+    match_weights: np.ndarray  # (K,) float64 in (0, 1]
+    covariance: np.ndarray  # (6, 6), right perturbation
 
 
 def explain(source: Cloud, target: Cloud, T_target_source: Float[Tensor, "4 4"]) -> Explanation:
-    """Nearest neighbors within 3 median spacings; point-to-point Gauss-Newton covariance."""
-    moved = rigid.apply(T_target_source, source.points)
-    index, distance = NeighborIndex(target.points).nearest(moved)
-    radius = 3.0 * max(point_spacing(source.points), point_spacing(target.points))
+    """Every source point's partner, the shares that have one, and how firmly the pose is held.
+
+    Partners are nearest points within `partner_radius`; a match weighs (1 − d²/radius²)².
+    """
+    radius = partner_radius(source, target, T_target_source)
+    partner, distance = target.index.nearest(rigid.apply(T_target_source, source.points))
     near = distance < radius
-    kept = torch.nonzero(near)[:, 0]
-    matches = torch.stack([kept, index[near]], -1).numpy(force=True)
-    weights = (1.0 / (1.0 + (distance[near] / radius).square())).numpy(force=True)
-    x = source.points[near]
-    J = torch.zeros((len(x), 3, 6), dtype=x.dtype)
-    J[:, :, 3:] = torch.eye(3, dtype=x.dtype)
-    J[:, 0, 1], J[:, 0, 2], J[:, 1, 2] = x[:, 2], -x[:, 1], x[:, 0]
-    J[:, 1, 0], J[:, 2, 0], J[:, 2, 1] = -x[:, 2], x[:, 1], -x[:, 0]
-    information = (J.mT @ J).sum(0) + 1e-9 * torch.eye(6, dtype=x.dtype)
-    noise_sq = float(distance[near].square().mean()) if len(x) else 1.0
-    covariance = torch.linalg.inv(information) * max(noise_sq, 1e-18)
+    index = torch.nonzero(near)[:, 0]
+    weights = (1 - (distance[near] / radius).square()).square()
+    covariance = pose_covariance(T_target_source, fine_pair(source, target), cutoff=radius)
     return Explanation(
-        pose_overlap(source, target, T_target_source), matches, weights, covariance.numpy()
+        overlap=pose_overlap(source, target, T_target_source, radius=radius),
+        matches=torch.stack([index, partner[near]], -1).numpy(force=True),
+        match_weights=weights.numpy(force=True),
+        covariance=covariance.numpy(force=True),
     )
 
 
+def partner_radius(source: Cloud, target: Cloud, T_target_source: Float[Tensor, "4 4"]) -> float:
+    """How far apart two points may lie and still show the same place.
+
+    Twice the spacing of the sparser cloud, or three times the typical distance between the two
+    surfaces where noise exceeds the spacing.
+    """
+    _, distance = target.index.nearest(rigid.apply(T_target_source, _sample(source)))
+    spacing = 2.0 * max(source.spacing, target.spacing)
+    close = distance[distance < _NOISE_REACH]
+    return max(spacing, 3.0 * float(close.median()) if len(close) else 0.0)
+
+
 def pose_overlap(
-    source: Cloud, target: Cloud, T_target_source: Float[Tensor, "4 4"]
+    source: Cloud,
+    target: Cloud,
+    T_target_source: Float[Tensor, "4 4"],
+    *,
+    radius: float | None = None,
 ) -> tuple[float, float]:
-    """Shares of source and of target with a partner within 3 median spacings."""
-    radius = 3.0 * max(point_spacing(source.points), point_spacing(target.points))
-    moved = rigid.apply(T_target_source, source.points)
-    there = NeighborIndex(target.points).nearest(moved)[1] < radius
-    back = NeighborIndex(moved).nearest(target.points)[1] < radius
-    return float(there.double().mean()), float(back.double().mean())
+    """Shares of source and of target with a partner within `radius` (`partner_radius`)."""
+    if radius is None:
+        radius = partner_radius(source, target, T_target_source)
+    _, there = target.index.nearest(rigid.apply(T_target_source, _sample(source)))
+    _, back = source.index.nearest(rigid.apply(rigid.invert(T_target_source), _sample(target)))
+    return float((there < radius).double().mean()), float((back < radius).double().mean())
+
+
+def _sample(cloud: Cloud) -> Float[Tensor, "n 3"]:
+    return cloud.points[:: -(-len(cloud.points) // _MAX_SAMPLES)]

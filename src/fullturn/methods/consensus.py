@@ -1,0 +1,65 @@
+"""The default method: many hypotheses, refined together, and a verdict between them."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import ClassVar, final
+
+import numpy as np
+import torch
+
+from fullturn.geometry.cloud import Cloud
+from fullturn.methods.base import Estimate, Method
+from fullturn.pose.fine import fine_pair, refine_fine
+from fullturn.pose.search import SearchConfig, find_finalists
+from fullturn.pose.symmetry import symmetry_of_poses
+from fullturn.pose.verdict import judge
+
+
+@dataclass(frozen=True)
+class ConsensusConfig:
+    """What is reported, on top of how the search is done."""
+
+    search: SearchConfig = SearchConfig()
+    least_probability: float = 0.01  # of an alternative
+    most_alternatives: int = 9
+    rival_share: float = 0.2  # of the answer's probability: what counts as evidence of symmetry
+
+
+@final
+class Consensus(Method):
+    """Search the full range of poses, verify, refine at full resolution. See docs/architecture.md.
+
+    1. Finalists: distinct poses that fit, with what verification measured of each.
+    2. Verdict: probabilities, ranking.
+    3. Fine level: the answer is refined on all points.
+    4. Symmetry: what the rivals have in common.
+    """
+
+    name = "consensus"
+    summary = "matches, thousands of hypotheses, verification with calibrated probabilities"
+    reference = "fullturn; second-order seeds after Chen et al., SC²-PCR, CVPR 2022"
+    config: ClassVar[ConsensusConfig] = ConsensusConfig()
+
+    def estimate(self, source: Cloud, target: Cloud, *, rng: np.random.Generator) -> Estimate:
+        config = self.config
+        found = find_finalists(source, target, config=config.search)
+        begin = time.perf_counter()
+        judged = judge(found.T_target_source, found.features)
+        kept = [
+            (index, probability)
+            for rank, (index, probability) in enumerate(
+                zip(judged.index, judged.probability, strict=True)
+            )
+            if rank == 0 or probability >= config.least_probability
+        ][: 1 + config.most_alternatives]
+        T = found.T_target_source[[index for index, _ in kept]].clone()
+        probability = torch.tensor([p for _, p in kept], dtype=T.dtype)
+        judged_at = time.perf_counter()
+        T[0] = refine_fine(T[0], fine_pair(source, target), start=2.0 * found.spacing)
+        rivals = T[1:][probability[1:] >= config.rival_share * probability[0]]
+        symmetry = symmetry_of_poses(T[0], rivals)
+        end = time.perf_counter()
+        seconds = {**found.seconds, "verdict": judged_at - begin, "fine": end - judged_at}
+        return Estimate(T, probability, symmetry, seconds)

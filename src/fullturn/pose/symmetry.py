@@ -1,0 +1,100 @@
+"""Rotations of an object onto itself: from rival poses, or by registering a cloud to itself."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from fullturn.geometry import rigid
+from fullturn.geometry.cloud import Cloud
+from fullturn.pose.search import find_finalists
+from fullturn.pose.verify import FEATURES
+
+_SAME_AXIS_DEG = 12.0
+_SAME_ANGLE_DEG = 12.0
+_MAX_ORDER = 8
+# A self-motion fits when its two-sided distance is within this factor of the identity's level.
+_FIT_MARGIN = 0.35
+
+
+@dataclass(frozen=True, eq=False)
+class CloudSymmetry:
+    """Rotations about one axis that leave the surface as it is."""
+
+    axis: np.ndarray  # (3,) unit vector, source frame; the first non-zero entry is positive
+    center: np.ndarray  # (3,) a point of the axis, the nearest to the origin
+    order: int  # n-fold; 0 where any angle will do
+
+
+def symmetry_of_poses(
+    T_best: Float[Tensor, "4 4"], T_rivals: Float[Tensor, "k 4 4"]
+) -> CloudSymmetry | None:
+    """The rotation symmetry of the source that would explain the rival poses, if one does.
+
+    S = T_best⁻¹ T_rival moves the source onto itself. The axis that most rivals share is taken;
+    n-fold where all its angles are multiples of 360°/n for an n up to 8, else continuous. None
+    where fewer than half of the rivals share an axis, or a rival only slides.
+    """
+    motions = [rigid.invert(T_best) @ T for T in T_rivals]
+    turns = [(m, *_axis_angle(m)) for m in motions]
+    turns = [(m, axis, angle) for m, axis, angle in turns if angle > math.radians(5.0)]
+    if not turns:
+        return None
+    cosine = math.cos(math.radians(_SAME_AXIS_DEG))
+    groups = [
+        [turn for turn in turns if abs(float(turn[1] @ axis)) > cosine] for _, axis, _ in turns
+    ]
+    shared = max(groups, key=len)
+    if 2 * len(shared) < len(turns):
+        return None
+    motion, axis, _ = shared[0]
+    angles_deg = [math.degrees(angle) for _, _, angle in shared]
+    return CloudSymmetry(axis.numpy(force=True), _axis_point(motion, axis), _order(angles_deg))
+
+
+def cloud_symmetries(cloud: Cloud) -> Float[Tensor, "k 4 4"]:
+    """Motions, other than none, that lay a cloud approximately onto itself: best first.
+
+    The cloud is registered to itself; a finalist counts when its two-sided distance, truncated at
+    one point spacing, comes near what two samplings of one surface have. A partial cloud of a
+    symmetric object has a symmetry only if both halves were seen.
+    """
+    found = find_finalists(cloud, cloud)
+    fit = found.features[:, FEATURES.index("distance_one")]
+    angle = rigid.rotation_angle_rad(found.T_target_source[:, :3, :3])
+    offset = found.T_target_source[:, :3, 3].norm(dim=-1)
+    # Independent uniform samples of one surface have a mean of min(d/h, 1)² of about 0.45.
+    good = (fit < math.log(0.45) + _FIT_MARGIN) & ((angle > math.radians(5.0)) | (offset > 0.05))
+    order = torch.argsort(fit[good])
+    return found.T_target_source[good][order]
+
+
+def _axis_angle(motion: Tensor) -> tuple[Tensor, float]:
+    vector = rigid.log_so3(motion[:3, :3])
+    angle = float(vector.norm())
+    axis = vector / max(angle, 1e-12)
+    leading = axis[torch.nonzero(axis.abs() > 1e-6)[0, 0]] if angle > 1e-9 else axis[0]
+    return (axis if leading >= 0 else -axis), angle
+
+
+def _axis_point(motion: Tensor, axis: Tensor) -> np.ndarray:
+    """The point of the rotation axis that is nearest to the origin."""
+    R, t = motion[:3, :3], motion[:3, 3]
+    across = t - (t @ axis) * axis
+    eye = torch.eye(3, dtype=R.dtype, device=R.device)
+    point = torch.linalg.lstsq((eye - R).cpu(), across.cpu()[:, None], driver="gelsd").solution
+    solved = point[:, 0].to(axis)
+    return (solved - (solved @ axis) * axis).numpy(force=True)
+
+
+def _order(angles_deg: list[float]) -> int:
+    for order in range(2, _MAX_ORDER + 1):
+        step = 360.0 / order
+        if all(abs(a - step * round(a / step)) < _SAME_ANGLE_DEG for a in angles_deg):
+            return order
+    return 0

@@ -1,0 +1,118 @@
+"""Which finalist is right, and how probably; or none of them."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from fullturn.errors import FullturnError
+from fullturn.geometry import rigid
+from fullturn.pose.verify import FEATURES
+
+# What "the same pose" and "right" mean: within 5° and 5 % of the radius, at the source's mean.
+TOLERANCE_RAD = math.radians(5.0)
+TOLERANCE_OFFSET = 0.05
+_LARGEST_INPUT = 6.0  # standard deviations; beyond it, nothing was seen in the fit
+
+
+@dataclass(frozen=True, eq=False)
+class VerdictWeights:
+    """One hidden layer over a finalist's features, and a score for "none of them"."""
+
+    mean: Float[Tensor, " f"]
+    deviation: Float[Tensor, " f"]
+    hidden: Float[Tensor, "f h"]
+    hidden_bias: Float[Tensor, " h"]
+    output: Float[Tensor, " h"]
+    none: Float[Tensor, ""]
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """Distinct poses, the most probable first."""
+
+    index: list[int]  # into the finalists
+    probability: list[float]  # of each; they sum to at most 1
+
+
+def verdict_inputs(
+    features: Float[Tensor, "*batch k f"], present: Bool[Tensor, "*batch k"] | None = None
+) -> Float[Tensor, "*batch k g"]:
+    """Each finalist's features, and how far each lies above the lowest value of its rivals."""
+    if present is None:
+        lowest = features.amin(-2, keepdim=True)
+    else:
+        lowest = features.masked_fill(~present.unsqueeze(-1), math.inf).amin(-2, keepdim=True)
+    return torch.cat([features, features - lowest], -1)
+
+
+def log_probabilities(
+    inputs: Float[Tensor, "*batch k g"],
+    weights: VerdictWeights,
+    present: Bool[Tensor, "*batch k"] | None = None,
+) -> Float[Tensor, "*batch k+1"]:
+    """Conditional logit (McFadden 1974) over the finalists and, last, "none of them"."""
+    standard = ((inputs - weights.mean) / weights.deviation).clamp(
+        -_LARGEST_INPUT, _LARGEST_INPUT
+    )
+    score = torch.tanh(standard @ weights.hidden + weights.hidden_bias) @ weights.output
+    if present is not None:
+        score = score.masked_fill(~present, -1e9)
+    none = weights.none.expand(*score.shape[:-1], 1)
+    return torch.log_softmax(torch.cat([score, none], -1), -1)
+
+
+def same_pose(
+    T_target_source: Float[Tensor, "k 4 4"], other: Float[Tensor, "m 4 4"]
+) -> Bool[Tensor, "k m"]:
+    """Which poses lie within the tolerance of which others (normalized lengths)."""
+    turn = T_target_source[:, None, :3, :3].mT @ other[None, :, :3, :3]
+    offset = T_target_source[:, None, :3, 3] - other[None, :, :3, 3]
+    return (rigid.rotation_angle_rad(turn) < TOLERANCE_RAD) & (
+        offset.norm(dim=-1) < TOLERANCE_OFFSET
+    )
+
+
+def judge(T_target_source: Float[Tensor, "k 4 4"], features: Float[Tensor, "k f"]) -> Judged:
+    """Rank the finalists by the probability that the truth lies within the tolerance of each.
+
+    That probability is the sum over the finalists within the tolerance. Taken greedily: once a
+    pose is listed, those that it speaks for are not listed again.
+    """
+    weights = load_weights()
+    inputs = verdict_inputs(features.double())
+    probability = log_probabilities(inputs, weights).exp()[:-1]
+    same = same_pose(T_target_source, T_target_source)
+    free = torch.ones(len(same), dtype=torch.bool, device=same.device)
+    index, listed = [], []
+    while bool(free.any()):
+        merged = (same & free).to(probability.dtype) @ probability
+        best = int(torch.where(free, merged, -1.0).argmax())
+        index.append(best)
+        listed.append(float(merged[best]))
+        free &= ~same[best]
+        free[best] = False
+    return Judged(index, listed)
+
+
+@cache
+def load_weights() -> VerdictWeights:
+    """The weights in the package, checked against the features that this code measures."""
+    from safetensors import safe_open
+
+    path = resources.files("fullturn") / "weights" / "verdict.safetensors"
+    with resources.as_file(path) as file, safe_open(file, framework="pt") as stored:
+        names = json.loads(stored.metadata()["features"])
+        if names != list(FEATURES):
+            raise FullturnError(
+                f"verdict.safetensors: expected weights for the features {', '.join(FEATURES)}, "
+                f"got {', '.join(names)}; run benchmarks/fit_verdict.py again"
+            )
+        return VerdictWeights(**{key: stored.get_tensor(key) for key in stored.keys()})
