@@ -32,9 +32,6 @@ class LevelPair:
     target: Level
     spacing: float  # point spacing of the coarser of the two
 
-    def swapped(self) -> LevelPair:
-        return LevelPair(self.target, self.source, self.spacing)
-
 
 def thin_pair(
     source: Float[Tensor, "n 3"], target: Float[Tensor, "m 3"], *, limit: int

@@ -53,23 +53,38 @@ def find_finalists(
     fine = thin_pair(source.points, target.points, limit=config.verify_points)
     verify_level = level_pair(*fine)
     coarse_level = verify_level
-    if max(len(fine[0]), len(fine[1])) > config.coarse_points:
+    if max(len(points) for points in fine) > config.coarse_points:
         thinned = thin_pair(*fine, limit=config.coarse_points)
         coarse_level = level_pair(*thinned, support=fine)
     clock.lap("levels")
     T = _hypothesize(coarse_level, config, clock)
     T = _refine_on_grids(coarse_level, T, config, clock)
     if verify_level is not coarse_level:
-        T = _polish(verify_level, T, start=coarse_level.spacing)
+        T = _polish(verify_level, T)
         clock.lap("refine")
-    h = verify_level.spacing
-    surfaces = [
-        prepare_surface(level, spacing=h, viewpoint=cloud.viewpoint)
-        for level, cloud in ((verify_level.source, source), (verify_level.target, target))
-    ]
-    features = measure(T, surfaces[0], surfaces[1], spacing=h)
+    features = _measure_level(verify_level, source, target, T)
     clock.lap("verify")
-    return Finalists(T.double(), features, h, clock.seconds)
+    return Finalists(T.double(), features, verify_level.spacing, clock.seconds)
+
+
+def measure_pose(
+    source: Cloud,
+    target: Cloud,
+    T_target_source: Float[Tensor, "4 4"],
+    *,
+    config: SearchConfig = SearchConfig(),
+) -> Float[Tensor, "1 f"]:
+    """What verification measures of one pose, found in whatever way."""
+    level = level_pair(*thin_pair(source.points, target.points, limit=config.verify_points))
+    return _measure_level(level, source, target, T_target_source[None].float())
+
+
+def _measure_level(pair: LevelPair, source: Cloud, target: Cloud, T: Tensor) -> Tensor:
+    surfaces = [
+        prepare_surface(level, spacing=pair.spacing, viewpoint=cloud.viewpoint)
+        for level, cloud in ((pair.source, source), (pair.target, target))
+    ]
+    return measure(T, surfaces[0], surfaces[1], spacing=pair.spacing)
 
 
 def _hypothesize(pair: LevelPair, config: SearchConfig, clock: _Clock) -> Tensor:
@@ -123,7 +138,7 @@ def _refine_on_grids(pair: LevelPair, T: Tensor, config: SearchConfig, clock: _C
     return T
 
 
-def _polish(pair: LevelPair, T: Tensor, *, start: float) -> Tensor:
+def _polish(pair: LevelPair, T: Tensor) -> Tensor:
     """Refine on a finer level."""
     h = pair.spacing
     grids = [
