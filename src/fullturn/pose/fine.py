@@ -74,9 +74,9 @@ def refine_fine(
     cutoff = start
     for _ in range(rounds):
         residuals = measure_residuals(T, pair, cutoff=cutoff)
-        step = gauss_newton_step(residuals.H, residuals.g, largest=0.2)
+        step = gauss_newton_step(residuals.H, residuals.g, damping=1e-6, largest=0.2)
         T = T @ rigid.exp_se3(step)
-        settled = float(step.abs().max()) < 1e-3 * max(residuals.sigma_normal, 1e-12)
+        settled = float(step.abs().max()) < 0.01 * residuals.sigma_normal
         if settled and residuals.cutoff > 0.9 * cutoff:
             break
         cutoff = min(cutoff, residuals.cutoff)

@@ -10,6 +10,10 @@ from fullturn.pose.grid import NearestGrid
 from fullturn.pose.residuals import gauss_newton_step, normal_equations
 
 
+# Holds back sliding along a surface, where planes leave a pose free.
+_DAMPING = 0.01
+
+
 def refine_poses(
     T_target_source: Float[Tensor, "k 4 4"],
     source: Float[Tensor, "n 3"],
@@ -18,12 +22,12 @@ def refine_poses(
     target_grid: NearestGrid,
     *,
     scales: tuple[float, ...],
-    point_share: float = 0.05,
 ) -> Float[Tensor, "k 4 4"]:
     """Each pose moved towards the nearest local optimum, both clouds pulling.
 
     One Gauss–Newton step per entry of `scales` (lengths, from coarse to fine). A point counts with
-    the weight (1 − d²/scale²)² (Tukey) within the scale. Source points look for partners in the
+    the weight (1 − d²/scale²)² (Tukey) within the scale and is drawn to the tangent plane of its
+    partner. Source points look for partners in the
     target and target points in the source, so that neither cloud's gaps decide.
     """
     T = T_target_source
@@ -31,17 +35,13 @@ def refine_poses(
         R, t = T[:, :3, :3], T[:, None, :3, 3]
         moved = source @ R.mT + t
         difference, normal = target_grid.nearest(moved)
-        H, g = normal_equations(
-            moved, difference, normal, tukey(difference, scale), point_share=point_share
-        )
+        H, g = normal_equations(moved, difference, normal, tukey(difference, scale))
         # Backwards, the moving point is the source's: it lies at target − difference.
         difference, normal = source_grid.nearest((target - t) @ R)
         weight = tukey(difference, scale)
         difference, normal = difference @ R.mT, normal @ R.mT
-        H_back, g_back = normal_equations(
-            target - difference, -difference, normal, weight, point_share=point_share
-        )
-        T = rigid.exp_se3(gauss_newton_step(H + H_back, g + g_back)) @ T
+        H_back, g_back = normal_equations(target - difference, -difference, normal, weight)
+        T = rigid.exp_se3(gauss_newton_step(H + H_back, g + g_back, damping=_DAMPING)) @ T
     return T
 
 

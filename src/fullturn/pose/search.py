@@ -27,7 +27,7 @@ class SearchConfig:
     coarse_points: int = 800  # per cloud, for descriptors and hypotheses
     verify_points: int = 2048  # per cloud, for the last refinement and the verdict
     descriptor_radius: float = 12.0
-    match_limit: int = 1000
+    match_limit: int = 700
     length_tolerance: float = 2.5  # between two matches of one rigid motion
     score_truncation: float = 2.0
     modes: int = 96  # distinct poses refined on the coarse level

@@ -1,0 +1,139 @@
+"""The surface histogram agrees with counting by hand and does not change with the frame."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+from torch import Tensor
+
+from fullturn.features.surface import surface_histogram
+
+RADIUS = 0.9
+
+
+def bent_sheet(count: int, *, seed: int = 0) -> tuple[Tensor, Tensor]:
+    """Points of z = 0.3 x² − 0.2 y² + 0.1 xy over a square, and their unit normals."""
+    rng = np.random.default_rng(seed)
+    x, y = rng.uniform(-1, 1, (2, count))
+    points = np.stack([x, y, 0.3 * x**2 - 0.2 * y**2 + 0.1 * x * y], 1)
+    normals = np.stack([-0.6 * x - 0.1 * y, 0.4 * y - 0.1 * x, np.ones(count)], 1)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return torch.from_numpy(points), torch.from_numpy(normals)
+
+
+def counted(
+    points: np.ndarray, normals: np.ndarray, *, radius: float, shells: int, bins: int
+) -> np.ndarray:
+    """The definition, pair by pair, with np.interp as the linear membership."""
+    rows = []
+    for i, (p, n) in enumerate(zip(points, normals, strict=True)):
+        table = np.zeros((shells, 3, bins))
+        for j, (q, m) in enumerate(zip(points, normals, strict=True)):
+            d = q - p
+            length = np.linalg.norm(d)
+            if i == j or length >= radius:
+                continue
+            u = d / length
+            shell = soft(length / radius, shells)
+            for k, cosine in enumerate((abs(n @ u), abs(m @ u), abs(n @ m))):
+                table[:, k] += np.outer(shell, soft(cosine, bins))
+        rows.append(np.sqrt(table.ravel() / max(table.sum(), 1e-12)))
+    return np.array(rows)
+
+
+def soft(value: float, bins: int) -> np.ndarray:
+    centers = (np.arange(bins) + 0.5) / bins
+    return np.array([np.interp(value, centers, np.eye(bins)[b]) for b in range(bins)])
+
+
+@pytest.mark.parametrize(("shells", "bins"), [(5, 5), (3, 4), (1, 2)])
+def test_agrees_with_counting_by_hand(shells: int, bins: int) -> None:
+    points, normals = bent_sheet(70)
+    found = surface_histogram(points, normals, radius=RADIUS, shells=shells, bins=bins)
+    expected = counted(points.numpy(), normals.numpy(), radius=RADIUS, shells=shells, bins=bins)
+    np.testing.assert_allclose(found.numpy(), expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
+@pytest.mark.parametrize("offset", [0.0, 1e6])
+@pytest.mark.parametrize("angle_deg", [0.0, 1e-4, 73.0, 180.0])
+def test_no_motion_scale_or_sign_changes_it(scale: float, offset: float, angle_deg: float) -> None:
+    points, normals = bent_sheet(90)
+    expected = surface_histogram(points, normals, radius=RADIUS)
+    rng = np.random.default_rng(1)
+    axis = rng.normal(size=3)
+    R = Rotation.from_rotvec(np.radians(angle_deg) * axis / np.linalg.norm(axis)).as_matrix()
+    signs = torch.from_numpy(rng.choice([-1.0, 1.0], (90, 1)))
+    turn = torch.from_numpy(R)
+    moved = (points @ turn.T) * scale + offset * scale
+    found = surface_histogram(moved, normals @ turn.T * signs, radius=RADIUS * scale)
+    torch.testing.assert_close(found, expected, atol=1e-5 if offset else 1e-7, rtol=0)
+
+
+def test_rows_have_unit_length_and_follow_the_points() -> None:
+    points, normals = bent_sheet(90)
+    rows = surface_histogram(points, normals, radius=RADIUS)
+    torch.testing.assert_close(rows.norm(dim=1), torch.ones(90).double())
+    order = torch.from_numpy(np.random.default_rng(2).permutation(90))
+    torch.testing.assert_close(
+        surface_histogram(points[order], normals[order], radius=RADIUS), rows[order]
+    )
+
+
+def test_the_context_is_the_points_that_are_counted() -> None:
+    points, normals = bent_sheet(64)
+    among = surface_histogram(points, normals, radius=RADIUS, context=slice(0, None, 2))
+    alone = surface_histogram(points[::2], normals[::2], radius=RADIUS)
+    torch.testing.assert_close(among[::2], alone)
+
+
+def test_single_precision_agrees_with_double() -> None:
+    points, normals = bent_sheet(200)
+    found = surface_histogram(points.float(), normals.float(), radius=RADIUS)
+    assert found.dtype == torch.float32
+    expected = surface_histogram(points, normals, radius=RADIUS)
+    assert float((found.double() - expected).norm(dim=1).max()) < 2e-3
+
+
+def test_small_noise_moves_it_little_and_another_surface_far() -> None:
+    points, normals = bent_sheet(300)
+    rows = surface_histogram(points, normals, radius=RADIUS)
+    noise = torch.from_numpy(np.random.default_rng(3).normal(0, 1e-3, (300, 3)))
+    shaken = surface_histogram(points + noise, normals, radius=RADIUS)
+    own = (rows * shaken).sum(1)
+    assert float(own.min()) > 0.995
+    flat = points * torch.tensor([1.0, 1.0, 0.0])
+    up = torch.tensor([0.0, 0.0, 1.0]).double().expand(300, 3)
+    assert float((rows * surface_histogram(flat, up, radius=RADIUS)).sum(1).median()) < 0.98
+    assert float(own.median()) > 0.999
+
+
+def test_duplicates_and_lonely_points_give_finite_rows() -> None:
+    points, normals = bent_sheet(40)
+    lonely = torch.tensor([[50.0, 0, 0], [0, 50.0, 0]]).double()
+    twice = torch.cat([points, points, lonely])
+    rows = surface_histogram(
+        twice, torch.cat([normals, normals, normals[:2]]), radius=RADIUS
+    )
+    assert bool(torch.isfinite(rows).all())
+    assert float(rows[-2:].norm()) == 0.0
+    # Copies double every count but that of the point itself, so the shares stay.
+    expected = surface_histogram(points, normals, radius=RADIUS)
+    torch.testing.assert_close(rows[:40], expected, atol=1e-6, rtol=0)
+
+
+def test_a_plane_fills_the_bins_of_right_angles() -> None:
+    rng = np.random.default_rng(4)
+    flat = torch.from_numpy(rng.uniform(-1, 1, (200, 3))) * torch.tensor([1.0, 1.0, 0.0])
+    up = torch.tensor([0.0, 0.0, 1.0]).double().expand(200, 3)
+    share = surface_histogram(flat, up, radius=0.5).square().view(200, 5, 3, 5).sum(1)
+    expected = torch.zeros(3, 5).double()
+    expected[0, 0] = expected[1, 0] = expected[2, 4] = 1 / 3
+    torch.testing.assert_close(share, expected.expand(200, 3, 5), atol=1e-9, rtol=0)
+    # Of uniform points within r, the share closer than x is (x/r)².
+    near = surface_histogram(flat, up, radius=0.5, shells=2).square()
+    assert math.isclose(float(near.view(200, 2, 15)[:, 0].sum(1).mean()), 1 / 3, abs_tol=0.05)
