@@ -47,11 +47,11 @@ FREE_SOURCES = ("sweethome3d", "gazebo", "bullet_random")
 KINDS = {  # name: share of the pairs
     "noisy": 0.15,
     "clean": 0.05,
-    "noisy-resampled": 0.20,
+    "noisy-resampled": 0.18,
     "clean-resampled": 0.08,
-    "plane": 0.22,
+    "plane": 0.20,
     "scan": 0.22,
-    "unrelated": 0.08,
+    "unrelated": 0.12,
 }
 
 
@@ -79,20 +79,21 @@ def _draw(source: MeshSource, index: int, kind: str, rng: np.random.Generator) -
         return scan_pair(
             mesh,
             rng,
-            points=int(rng.integers(500, 3000)),
+            points=int(rng.integers(500, 3000)) if rng.random() < 0.85 else int(rng.integers(60, 500)),
             min_overlap=float(rng.uniform(0.2, 0.7)),
             noise_sigma=float(rng.choice([0.0, 0.002, 0.005, 0.01])),
         )
     sigma = float(rng.choice([0.005, 0.01, 0.01, 0.015]))
+    few = int(np.exp(rng.uniform(np.log(12), np.log(400))))
     if kind == "plane":
         protocol = dataclasses.replace(
             PROTOCOLS["geotransformer/180"],
             kept_share=float(rng.uniform(0.5, 0.8)),
-            cloud_points=int(rng.integers(300, 800)),
+            cloud_points=int(rng.integers(300, 800)) if rng.random() < 0.85 else few,
             noise_sigma=sigma if rng.random() < 0.8 else 0.0,
         )
     else:
-        points = int(rng.choice([512, 1024, 1024, 1024, 2048]))
+        points = int(rng.choice([few, 512, 1024, 1024, 1024, 2048]))
         protocol = dataclasses.replace(
             PROTOCOLS[f"modelnet40/{kind}/180"],
             sample_points=points,

@@ -12,6 +12,7 @@ from fullturn.geometry import rigid
 from fullturn.geometry.cloud import Cloud
 from fullturn.geometry.neighbors import NeighborIndex
 from fullturn.geometry.normals import estimate_normals
+from fullturn.pose.kabsch import nearest_rotation
 from fullturn.pose.residuals import gauss_newton_step, normal_equations
 
 # Residuals are taken at no more than this many points of each cloud; neighbors come from all.
@@ -44,7 +45,7 @@ class Residuals:
     sigma_normal: float  # off the surface, robust
     sigma_tangent: float  # along the surface, per axis, robust
     point_share: float  # how much a partner is trusted to be the same physical point
-    cutoff: float  # where the next step should stop looking
+    reach: float  # three deviations: how far apart partners may lie
 
 
 def fine_pair(source: Cloud, target: Cloud) -> FinePair:
@@ -76,11 +77,11 @@ def refine_fine(
         residuals = measure_residuals(T, pair, cutoff=cutoff)
         step = gauss_newton_step(residuals.H, residuals.g, damping=1e-6, largest=0.2)
         T = T @ rigid.exp_se3(step)
-        settled = float(step.abs().max()) < 0.01 * residuals.sigma_normal
-        if settled and residuals.cutoff > 0.9 * cutoff:
+        moved = float(step.abs().max())
+        if moved < 0.01 * residuals.sigma_normal and residuals.reach > 0.9 * cutoff:
             break
-        cutoff = min(cutoff, residuals.cutoff)
-    return T
+        cutoff = min(cutoff, max(residuals.reach, 4.0 * moved))
+    return rigid.make(nearest_rotation(T[:3, :3]), T[:3, 3])
 
 
 def measure_residuals(
@@ -118,9 +119,9 @@ def measure_residuals(
     trust = (share - _MUTUAL_INDEPENDENT) / (_MUTUAL_SAME - _MUTUAL_INDEPENDENT)
     ratio = min(1.0, (sigma_normal / sigma_tangent) ** 2)
     point_share = max(_LEAST_POINT_SHARE * ratio, min(1.0, max(0.0, trust)) * ratio)
-    reach = 3.0 * (sigma_normal**2 + 2.0 * sigma_tangent**2) ** 0.5
+    reach = min(cutoff, 3.0 * (sigma_normal**2 + 2.0 * sigma_tangent**2) ** 0.5)
     # Tukey on the two variances; a pair three deviations off across the surface counts nothing.
-    unlikely = (height / (4.0 * sigma_normal)).square() + (along / cutoff).square()
+    unlikely = (height / (4.0 * sigma_normal)).square() + (along / reach).square()
     weight = (1.0 - unlikely).clamp_min(0).square() / sigma_normal**2
     H, g = normal_equations(at, difference, normal, weight, point_share=point_share)
-    return Residuals(H, g, sigma_normal, sigma_tangent, point_share, min(reach, cutoff))
+    return Residuals(H, g, sigma_normal, sigma_tangent, point_share, reach)

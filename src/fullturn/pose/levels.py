@@ -12,8 +12,9 @@ from torch import Tensor
 from fullturn.geometry.normals import estimate_normals
 from fullturn.geometry.sampling import point_spacing, voxel_sample
 
-# The voxel size is searched on at most this many points of each cloud.
-_SEARCH_POINTS = 40_000
+# The voxel size is searched on at least this many times as many points as are wanted.
+_DENSE = 8
+_LARGEST_VOXEL = 0.15  # of a cloud's own radius
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,10 +42,10 @@ def thin_pair(
     A cloud that is small enough already is kept as it is, unless its partner has to be thinned to
     a larger spacing. The rows come sorted, so that the order of the input does not matter.
     """
-    size = _voxel_size(source, target, limit)
-    if size is None:
+    if max(len(source), len(target)) <= limit:
         return _sorted(source), _sorted(target)
-    return _sorted(voxel_sample(source, size)[0]), _sorted(voxel_sample(target, size)[0])
+    size = max(_voxel_size(source, limit), _voxel_size(target, limit))
+    return _thin(source, size), _thin(target, size)
 
 
 def level_pair(
@@ -66,18 +67,32 @@ def level_pair(
     return LevelPair(levels[0], levels[1], spacing)
 
 
-def _voxel_size(source: Tensor, target: Tensor, limit: int) -> float | None:
-    clouds = [source, target]
-    if max(len(c) for c in clouds) <= limit:
-        return None
-    some = [c[:: max(1, len(c) // _SEARCH_POINTS)] for c in clouds]
+def _thin(points: Tensor, size: float) -> Tensor:
+    # A cloud far smaller than its partner must not vanish in one voxel.
+    radius = float((points - points.mean(0)).norm(dim=-1).max())
+    return _sorted(voxel_sample(points, min(size, _LARGEST_VOXEL * radius))[0])
+
+
+def _voxel_size(points: Tensor, limit: int) -> float:
+    """The voxel size that leaves between 0.85 × `limit` and `limit` points; 0 if all may stay."""
+    if len(points) <= limit:
+        return 0.0
     size = 2.0 / math.sqrt(limit)
-    for _ in range(8):
-        count = max(len(voxel_sample(c, size)[0]) for c in some)
-        if 0.9 * limit <= count <= limit:
+    # Counted on means of much smaller voxels: as good, and cheap for millions of points.
+    some = points
+    for finer in (4, 16, 64):
+        if len(points) > _DENSE * limit:
+            some = voxel_sample(points, size / finer)[0]
+        if len(some) >= _DENSE * limit:
+            break
+    for _ in range(12):
+        count = len(voxel_sample(some, size)[0])
+        if 0.85 * limit <= count <= limit:
             break
         # Surfaces: the number of voxels falls with the square of their size.
-        size *= math.sqrt(count / (0.95 * limit))
+        size *= math.sqrt(count / (0.93 * limit))
+    while len(voxel_sample(points, size)[0]) > limit:
+        size *= 1.05
     return size
 
 

@@ -15,6 +15,7 @@ from fullturn.geometry.cloud import Cloud
 from fullturn.matching.correspondence import candidate_matches
 from fullturn.pose import hypotheses
 from fullturn.pose.grid import NearestGrid
+from fullturn.pose.kabsch import nearest_rotation
 from fullturn.pose.levels import LevelPair, level_pair, thin_pair
 from fullturn.pose.refine import refine_poses
 from fullturn.pose.verify import measure, prepare_surface
@@ -64,7 +65,9 @@ def find_finalists(
         clock.lap("refine")
     features = _measure_level(verify_level, source, target, T)
     clock.lap("verify")
-    return Finalists(T.double(), features, verify_level.spacing, clock.seconds)
+    T = T.double()
+    T = rigid.make(nearest_rotation(T[:, :3, :3]), T[:, :3, 3])
+    return Finalists(T, features, verify_level.spacing, clock.seconds)
 
 
 def measure_pose(

@@ -16,8 +16,9 @@ from fullturn.pose.search import find_finalists
 from fullturn.pose.verify import FEATURES
 
 _SAME_AXIS_DEG = 12.0
-_SAME_ANGLE_DEG = 12.0
+_SAME_ANGLE_DEG = 8.0
 _MAX_ORDER = 8
+_MANY = 4  # so many angles without a common step mean that any angle will do
 # A self-motion fits when its two-sided distance is within this factor of the identity's level.
 _FIT_MARGIN = 0.35
 
@@ -37,8 +38,9 @@ def symmetry_of_poses(
     """The rotation symmetry of the source that would explain the rival poses, if one does.
 
     S = T_best⁻¹ T_rival moves the source onto itself. The axis that most rivals share is taken;
-    n-fold where all its angles are multiples of 360°/n for an n up to 8, else continuous. None
-    where fewer than half of the rivals share an axis, or a rival only slides.
+    n-fold where all its angles are multiples of 360°/n for an n up to 8, at least half of which
+    were seen; continuous where there are many other angles. None where fewer than half of the
+    rivals share an axis, or their angles are no symmetry's.
     """
     motions = [rigid.invert(T_best) @ T for T in T_rivals]
     turns = [(m, *_axis_angle(m)) for m in motions]
@@ -53,8 +55,10 @@ def symmetry_of_poses(
     if 2 * len(shared) < len(turns):
         return None
     motion, axis, _ = shared[0]
-    angles_deg = [math.degrees(angle) for _, _, angle in shared]
-    return CloudSymmetry(axis.numpy(force=True), _axis_point(motion, axis), _order(angles_deg))
+    order = _order([math.degrees(angle) for _, _, angle in shared])
+    if order is None:
+        return None
+    return CloudSymmetry(axis.numpy(force=True), _axis_point(motion, axis), order)
 
 
 def cloud_symmetries(cloud: Cloud) -> Float[Tensor, "k 4 4"]:
@@ -92,9 +96,12 @@ def _axis_point(motion: Tensor, axis: Tensor) -> np.ndarray:
     return (solved - (solved @ axis) * axis).numpy(force=True)
 
 
-def _order(angles_deg: list[float]) -> int:
+def _order(angles_deg: list[float]) -> int | None:
+    """The n of an n-fold symmetry with these angles (0 to 180°), 0 for any angle, None for no."""
     for order in range(2, _MAX_ORDER + 1):
         step = 360.0 / order
-        if all(abs(a - step * round(a / step)) < _SAME_ANGLE_DEG for a in angles_deg):
+        multiples = {round(angle / step) for angle in angles_deg}
+        fits = all(abs(a - step * round(a / step)) < _SAME_ANGLE_DEG for a in angles_deg)
+        if fits and 0 not in multiples and 2 * len(multiples) >= order // 2:
             return order
-    return 0
+    return 0 if len(angles_deg) >= _MANY else None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import torch
@@ -39,8 +40,9 @@ _SEEN = (
     "sight_empty",  # share where that sensor saw nothing at all
     "sight_known",  # share of the two sensors whose place is known
 )
+_PAIR = ("log_points",)  # of the smaller cloud, natural logarithm
 _RAW = _LOGARITHMIC + _LINEAR
-FEATURES = _RAW + tuple(f"{name}_sides" for name in _SIDED) + _SEEN
+FEATURES = _RAW + tuple(f"{name}_sides" for name in _SIDED) + _SEEN + _PAIR
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +95,9 @@ def measure(
             seen[:, :2] += image.violations(points) / 2
             seen[:, 2] += 0.5
     differences = (forward - backward)[:, sided].abs()
-    return torch.cat([(forward + backward) / 2, differences, seen], 1)
+    fewest = min(len(source.points), len(target.points))
+    size = torch.full_like(seen[:, :1], math.log(fewest))
+    return torch.cat([(forward + backward) / 2, differences, seen, size], 1)
 
 
 def _one_side(

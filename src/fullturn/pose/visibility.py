@@ -7,11 +7,15 @@ from jaxtyping import Float
 from torch import Tensor
 
 
+_MAX_PIXELS = 256  # of a side
+
+
 class DepthImage:
     """A coarse depth image of a cloud from where its sensor stood.
 
-    Pixels are `spacing` wide at the cloud's distance, and each holds the largest depth of the
-    points in it and around it, so that only a clear contradiction counts as one.
+    Pixels are 1.5 `spacing` wide at the cloud's distance, and each holds the largest depth of the
+    points in it and around it, so that only a clear contradiction counts as one. The image ends a
+    quarter of its size beyond the cloud, and at 45° from its center: nothing is known outside.
     """
 
     def __init__(
@@ -27,12 +31,15 @@ class DepthImage:
         self._viewpoint = viewpoint
         self._margin = 2.0 * spacing
         image, depth = self._project(points)
-        self._pixel = max(1.5 * spacing / float(distance), 1.0 / 256)
-        self._low = image.amin(0) - 2 * self._pixel
-        width, height = ((image.amax(0) - self._low) / self._pixel).ceil().long().add(3).tolist()
-        self._size = (min(width, 512), min(height, 512))
+        low, high = image.clamp(-1, 1).amin(0), image.clamp(-1, 1).amax(0)
+        margin = 0.25 * (high - low)
+        self._low, high = (low - margin).clamp_min(-1), (high + margin).clamp_max(1)
+        extent = (high - self._low).clamp_min(1e-6)
+        self._pixel = max(1.5 * spacing / float(distance), float(extent.max()) / _MAX_PIXELS)
+        width, height = (extent / self._pixel).ceil().long().tolist()
+        self._size = (max(width, 1), max(height, 1))
         farthest = torch.full(self._size, -1.0, dtype=points.dtype, device=points.device).view(-1)
-        cell, inside = self._cell(image)
+        cell, inside = self._cell(image, depth)
         farthest.scatter_reduce_(0, cell[inside], depth[inside], "amax")
         grown = torch.nn.functional.max_pool2d(farthest.view(1, 1, *self._size), 3, 1, 1)
         self._farthest = grown.view(-1)
@@ -40,16 +47,14 @@ class DepthImage:
     def violations(self, points: Float[Tensor, "k n 3"]) -> Float[Tensor, "k 2"]:
         """Shares of points that float in front of the surface seen, and in front of nothing seen.
 
-        Both would have been returned by the sensor in place of what it returned.
+        Both would have been returned by the sensor in place of what it returned. A pixel is empty
+        only if its neighbors are, too; points outside the image count as neither.
         """
         image, depth = self._project(points)
-        cell, inside = self._cell(image)
-        farthest = torch.where(inside, self._farthest[cell], -1.0)
-        visible = depth > 1e-3
-        seen = farthest > 0
-        in_front = visible & seen & (depth < farthest - self._margin)
-        # An empty pixel counts only if it lies well inside or outside the silhouette: grown above.
-        in_nothing = visible & ~seen
+        cell, inside = self._cell(image, depth)
+        farthest = self._farthest[cell]
+        in_front = inside & (farthest > 0) & (depth < farthest - self._margin)
+        in_nothing = inside & (farthest <= 0)
         shares = [mask.to(points.dtype).mean(-1) for mask in (in_front, in_nothing)]
         return torch.stack(shares, -1)
 
@@ -58,9 +63,9 @@ class DepthImage:
         depth = local[..., 2]
         return local[..., :2] / depth.clamp_min(1e-3).unsqueeze(-1), depth
 
-    def _cell(self, image: Tensor) -> tuple[Tensor, Tensor]:
+    def _cell(self, image: Tensor, depth: Tensor) -> tuple[Tensor, Tensor]:
         position = (image - self._low) / self._pixel
-        x, y = position.clamp(-1, 1e6).floor().long().unbind(-1)
+        x, y = position.clamp(-1, 2 * _MAX_PIXELS).floor().long().unbind(-1)
         width, height = self._size
-        inside = (x >= 0) & (y >= 0) & (x < width) & (y < height)
+        inside = (depth > 1e-3) & (x >= 0) & (y >= 0) & (x < width) & (y < height)
         return (x * height + y).masked_fill(~inside, 0), inside
