@@ -79,7 +79,9 @@ def _draw(source: MeshSource, index: int, kind: str, rng: np.random.Generator) -
         return scan_pair(
             mesh,
             rng,
-            points=int(rng.integers(500, 3000)) if rng.random() < 0.85 else int(rng.integers(60, 500)),
+            points=int(rng.integers(500, 3000))
+            if rng.random() < 0.85
+            else int(rng.integers(60, 500)),
             min_overlap=float(rng.uniform(0.2, 0.7)),
             noise_sigma=float(rng.choice([0.0, 0.002, 0.005, 0.01])),
         )
@@ -277,7 +279,9 @@ def report(table: Table, rows: Tensor, inputs: Tensor, weights: VerdictWeights) 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("step", choices=["collect", "fit"])
-    parser.add_argument("--out", type=Path, default=Path("runs/verdict"), help="folder of the pairs")
+    parser.add_argument(
+        "--out", type=Path, default=Path("runs/verdict"), help="folder of the pairs"
+    )
     parser.add_argument("--count", type=int, default=5000, help="pairs to collect")
     parser.add_argument("--first", type=int, default=0, help="number of the first pair")
     parser.add_argument("--shard", type=int, default=50, help="pairs a file")

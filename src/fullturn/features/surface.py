@@ -45,7 +45,7 @@ def surface_histogram(
         (normals @ other_normals.T).abs_(),
     ]
     distance /= radius
-    n, m = distance.shape
+    n = len(points)
     counts = points.new_empty(n, shells, 3 * bins)
     for first in range(0, n, _ROWS_AT_ONCE):
         rows = slice(first, first + _ROWS_AT_ONCE)

@@ -7,6 +7,7 @@ is the same in every run with the same input, but otherwise unspecified.
 from __future__ import annotations
 
 import math
+from functools import cached_property
 
 import numpy as np
 import small_gicp
@@ -19,6 +20,9 @@ from fullturn.errors import InputError
 MISSING = -1
 # Distances held at once by the brute-force search: 256 MB in float32.
 _MAX_DISTANCES_AT_ONCE = 1 << 26
+# The grid that sorts out far queries: cells along its longest side, and how far it may be grown.
+_MAX_SIDE = 96
+_MAX_GROWTH = 8
 
 
 def knn(
@@ -105,11 +109,61 @@ class NeighborIndex:
         return _within(*self.knn(queries, max_neighbors), radius)
 
     def nearest(
-        self, queries: Float[Tensor, "m 3"]
+        self, queries: Float[Tensor, "m 3"], *, within: float = math.inf
     ) -> tuple[Int[Tensor, " m"], Float[Tensor, " m"]]:
-        """Index and distance of the single nearest point."""
-        index, distance = self.knn(queries, 1)
-        return index[:, 0], distance[:, 0]
+        """Index and distance of the single nearest point; −1 and inf where none is `within` reach.
+
+        A finite reach is much faster where many queries lie far away: a k-d tree is slow at those,
+        so they are sorted out beforehand on a grid of occupied cells.
+        """
+        if not math.isfinite(within):
+            index, distance = self.knn(queries, 1)
+            return index[:, 0], distance[:, 0]
+        near = self._occupancy.near(queries.detach(), within)
+        if bool(near.all()):
+            index, distance = _within(*self.knn(queries, 1), within)
+            return index[:, 0], distance[:, 0]
+        index = torch.full(near.shape, MISSING, dtype=torch.int64, device=queries.device)
+        distance = torch.full(near.shape, math.inf, dtype=queries.dtype, device=queries.device)
+        found = _within(*self.knn(queries[near], 1), within)
+        index[near], distance[near] = found[0][:, 0], found[1][:, 0]
+        return index, distance
+
+    @cached_property
+    def _occupancy(self) -> _Occupancy:
+        return _Occupancy(self.points)
+
+
+class _Occupancy:
+    """Which cells of a coarse grid hold points: tells quickly what is far from all of them."""
+
+    def __init__(self, points: Tensor) -> None:
+        side = min(_MAX_SIDE, max(8, round(2 * len(points) ** (1 / 3))))
+        self._low = points.amin(0)
+        extent = points.amax(0) - self._low
+        self._cell = max(float(extent.max()) / side, torch.finfo(points.dtype).tiny)
+        self._size = ((extent / self._cell).floor().long() + 1).tolist()
+        table = torch.zeros(self._size, dtype=torch.bool, device=points.device)
+        table[((points - self._low) / self._cell).floor().long().unbind(-1)] = True
+        self._table = table
+        self._grown: dict[int, Tensor] = {}
+
+    def near(self, queries: Tensor, reach: float) -> Tensor:
+        """False only where no point lies within the reach."""
+        steps = reach / self._cell
+        if steps > _MAX_GROWTH:
+            return torch.ones(queries.shape[:-1], dtype=torch.bool, device=queries.device)
+        grow = max(1, math.ceil(steps))
+        if grow not in self._grown:
+            padded = torch.nn.functional.pad(self._table.float(), [grow] * 6)
+            pooled = torch.nn.functional.max_pool3d(padded[None], 2 * grow + 1, 1, grow)[0]
+            self._grown[grow] = pooled.bool()
+        table = self._grown[grow]
+        cell = ((queries - self._low) / self._cell).floor() + grow
+        last = torch.tensor(table.shape, device=queries.device) - 1
+        inside = ((cell >= 0) & (cell <= last)).all(-1)
+        x, y, z = cell.nan_to_num().clamp_min(0).minimum(last.to(cell)).long().unbind(-1)
+        return inside & table[x, y, z]
 
 
 def gather(

@@ -93,7 +93,7 @@ def point_spacing(points: Float[Tensor, "n 3"], *, index: NeighborIndex | None =
     n = len(points)
     step = max(1, -(-n // _SPACING_QUERIES))
     queries = points[::step]
-    distance = (index or NeighborIndex(points)).knn(queries, 2)[1][:, 1] if n > 1 else torch.zeros(0)
+    distance = (index or NeighborIndex(points)).knn(queries, 2)[1][:, 1]
     if n > 1 and bool((distance == 0).any()):
         distinct = torch.unique(points.detach(), dim=0)
         n = len(distinct)

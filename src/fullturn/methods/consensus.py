@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar, final
 
 import numpy as np
@@ -21,7 +21,7 @@ from fullturn.pose.verdict import judge
 class ConsensusConfig:
     """What is reported, on top of how the search is done."""
 
-    search: SearchConfig = SearchConfig()
+    search: SearchConfig = field(default_factory=SearchConfig)
     least_probability: float = 0.01  # of an alternative
     most_alternatives: int = 9
     rival_share: float = 0.2  # of the answer's probability: what counts as evidence of symmetry

@@ -36,7 +36,8 @@ def explain(source: Cloud, target: Cloud, T_target_source: Float[Tensor, "4 4"])
     Partners are nearest points within `partner_radius`; a match weighs (1 − d²/radius²)².
     """
     radius = partner_radius(source, target, T_target_source)
-    partner, distance = target.index.nearest(rigid.apply(T_target_source, source.points))
+    moved = rigid.apply(T_target_source, source.points)
+    partner, distance = target.index.nearest(moved, within=radius)
     near = distance < radius
     index = torch.nonzero(near)[:, 0]
     weights = (1 - (distance[near] / radius).square()).square()
@@ -55,7 +56,8 @@ def partner_radius(source: Cloud, target: Cloud, T_target_source: Float[Tensor, 
     Twice the spacing of the sparser cloud, or three times the typical distance between the two
     surfaces where noise exceeds the spacing.
     """
-    _, distance = target.index.nearest(rigid.apply(T_target_source, _sample(source)))
+    moved = rigid.apply(T_target_source, _sample(source))
+    _, distance = target.index.nearest(moved, within=_NOISE_REACH)
     spacing = 2.0 * max(source.spacing, target.spacing)
     close = distance[distance < _NOISE_REACH]
     return max(spacing, 3.0 * float(close.median()) if len(close) else 0.0)
@@ -71,8 +73,10 @@ def pose_overlap(
     """Shares of source and of target with a partner within `radius` (`partner_radius`)."""
     if radius is None:
         radius = partner_radius(source, target, T_target_source)
-    _, there = target.index.nearest(rigid.apply(T_target_source, _sample(source)))
-    _, back = source.index.nearest(rigid.apply(rigid.invert(T_target_source), _sample(target)))
+    moved = rigid.apply(T_target_source, _sample(source))
+    _, there = target.index.nearest(moved, within=radius)
+    pulled = rigid.apply(rigid.invert(T_target_source), _sample(target))
+    _, back = source.index.nearest(pulled, within=radius)
     return float((there < radius).double().mean()), float((back < radius).double().mean())
 
 

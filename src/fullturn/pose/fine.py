@@ -25,15 +25,20 @@ _LEAST_POINT_SHARE = 0.01
 
 
 @dataclass(frozen=True, eq=False)
-class FinePair:
-    """Points of both clouds where residuals are taken, and trees over all of them."""
+class FineCloud:
+    """Points of a cloud where residuals are taken, and the tree over all of its points."""
 
-    source: Float[Tensor, "n 3"]
-    source_normals: Float[Tensor, "n 3"]
-    source_index: NeighborIndex
-    target: Float[Tensor, "m 3"]
-    target_normals: Float[Tensor, "m 3"]
-    target_index: NeighborIndex
+    points: Float[Tensor, "n 3"]
+    normals: Float[Tensor, "n 3"]
+    index: NeighborIndex
+
+
+@dataclass(frozen=True, eq=False)
+class FinePair:
+    """Both clouds, ready for the last refinement."""
+
+    source: FineCloud
+    target: FineCloud
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,15 +55,7 @@ class Residuals:
 
 def fine_pair(source: Cloud, target: Cloud) -> FinePair:
     """Choose the sample points, evenly over the rows, and estimate their normals."""
-    parts = []
-    for cloud in (source, target):
-        sample = cloud.points[:: -(-len(cloud.points) // _MAX_SAMPLES)]
-        index, _ = cloud.index.knn(sample, min(_NORMAL_NEIGHBORS, len(cloud.points)))
-        normals = estimate_normals(
-            cloud.points, queries=sample, neighbor_index=index, orientation="none"
-        ).normals
-        parts += [sample, normals, cloud.index]
-    return FinePair(*parts)
+    return FinePair(_fine_cloud(source), _fine_cloud(target))
 
 
 def refine_fine(
@@ -89,25 +86,26 @@ def measure_residuals(
 ) -> Residuals:
     """Pair the points up at a pose and weigh them by the noise that they show."""
     T_source_target = rigid.invert(T_target_source)
-    moved = rigid.apply(T_target_source, pair.source)
-    partner, distance = pair.target_index.nearest(moved)
-    y = rigid.apply(T_source_target, pair.target_index.points[partner])
+    source, target = pair.source, pair.target
+    moved = rigid.apply(T_target_source, source.points)
+    partner, distance = target.index.nearest(moved, within=cutoff)
+    y = rigid.apply(T_source_target, target.index.points[partner])
     forward = distance < cutoff
     mutual = torch.zeros_like(forward)
     if forward.any():
-        back, _ = pair.source_index.nearest(y[forward])
-        mutual[forward] = (pair.source_index.points[back] == pair.source[forward]).all(-1)
-    pulled = rigid.apply(T_source_target, pair.target)
-    partner, distance = pair.source_index.nearest(pulled)
-    x = pair.source_index.points[partner]
+        back, _ = source.index.nearest(y[forward])
+        mutual[forward] = (source.index.points[back] == source.points[forward]).all(-1)
+    pulled = rigid.apply(T_source_target, target.points)
+    partner, distance = source.index.nearest(pulled, within=cutoff)
+    x = source.index.points[partner]
     backward = distance < cutoff
-    at = torch.cat([pair.source[forward], x[backward]])
+    at = torch.cat([source.points[forward], x[backward]])
     if len(at) < 6:
         zero = at.new_zeros(6)
         return Residuals(torch.diag(zero), zero, cutoff, cutoff, 1.0, cutoff)
-    difference = torch.cat([pair.source[forward] - y[forward], x[backward] - pulled[backward]])
-    target_normals = pair.target_normals @ T_target_source[:3, :3]
-    normal = torch.cat([pair.source_normals[forward], target_normals[backward]])
+    difference = torch.cat([source.points[forward] - y[forward], x[backward] - pulled[backward]])
+    target_normals = target.normals @ T_target_source[:3, :3]
+    normal = torch.cat([source.normals[forward], target_normals[backward]])
 
     height = (difference * normal).sum(-1)
     along = (difference - height[:, None] * normal).norm(dim=-1)
@@ -125,3 +123,12 @@ def measure_residuals(
     weight = (1.0 - unlikely).clamp_min(0).square() / sigma_normal**2
     H, g = normal_equations(at, difference, normal, weight, point_share=point_share)
     return Residuals(H, g, sigma_normal, sigma_tangent, point_share, reach)
+
+
+def _fine_cloud(cloud: Cloud) -> FineCloud:
+    sample = cloud.points[:: -(-len(cloud.points) // _MAX_SAMPLES)]
+    index, _ = cloud.index.knn(sample, min(_NORMAL_NEIGHBORS, len(cloud.points)))
+    normals = estimate_normals(
+        cloud.points, queries=sample, neighbor_index=index, orientation="none"
+    ).normals
+    return FineCloud(sample, normals, cloud.index)

@@ -128,5 +128,3 @@ def _distances(points: Float[Tensor, "k 3"]) -> Float[Tensor, "k k"]:
 def _falloff(value: Float[Tensor, "*s"], tolerance: float) -> Float[Tensor, "*s"]:
     """1 at zero, 0 from `tolerance` on, quadratic between; works in place on `value`."""
     return value.mul_(1 / tolerance).square_().neg_().add_(1).clamp_min_(0)
-
-

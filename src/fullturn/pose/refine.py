@@ -9,7 +9,6 @@ from fullturn.geometry import rigid
 from fullturn.pose.grid import NearestGrid
 from fullturn.pose.residuals import gauss_newton_step, normal_equations
 
-
 # Holds back sliding along a surface, where planes leave a pose free.
 _DAMPING = 0.01
 

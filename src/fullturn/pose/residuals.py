@@ -6,7 +6,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-
 _Equations = tuple[Float[Tensor, "*batch 6 6"], Float[Tensor, "*batch 6"]]
 
 

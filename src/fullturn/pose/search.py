@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -118,8 +117,7 @@ def _refine_on_grids(pair: LevelPair, T: Tensor, config: SearchConfig, clock: _C
         NearestGrid(level.points, level.normals, cell=0.75 * h, band=3 * h)
         for level in (pair.source, pair.target)
     ]
-    few_source, few_target = source[::4], target[::4]
-    scores = hypotheses.score_poses(few_source, grids[1], T, truncation=2 * h)
+    scores = hypotheses.score_poses(source[::4], grids[1], T, truncation=2 * h)
     coordinates = hypotheses.pose_coordinates(T, source)
     kept = hypotheses.distinct(
         coordinates, scores, radius=config.mode_radius * h, limit=config.modes

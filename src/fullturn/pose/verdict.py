@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cache
 from importlib import resources
 
@@ -34,6 +34,9 @@ class VerdictWeights:
     none: Float[Tensor, ""]
 
 
+_WEIGHTS = tuple(field.name for field in fields(VerdictWeights))
+
+
 @dataclass(frozen=True, eq=False)
 class Judged:
     """Distinct poses, the most probable first."""
@@ -59,9 +62,7 @@ def log_probabilities(
     present: Bool[Tensor, "*batch k"] | None = None,
 ) -> Float[Tensor, "*batch k+1"]:
     """Conditional logit (McFadden 1974) over the finalists and, last, "none of them"."""
-    standard = ((inputs - weights.mean) / weights.deviation).clamp(
-        -_LARGEST_INPUT, _LARGEST_INPUT
-    )
+    standard = ((inputs - weights.mean) / weights.deviation).clamp(-_LARGEST_INPUT, _LARGEST_INPUT)
     score = torch.tanh(standard @ weights.hidden + weights.hidden_bias) @ weights.output
     if present is not None:
         score = score.masked_fill(~present, -1e9)
@@ -112,7 +113,7 @@ def load_weights() -> VerdictWeights:
         names = json.loads(stored.metadata()["features"])
         if names != list(FEATURES):
             raise FullturnError(
-                f"verdict.safetensors: expected weights for the features {', '.join(FEATURES)}, "
-                f"got {', '.join(names)}; run benchmarks/fit_verdict.py again"
+                f"verdict.safetensors: expected weights fit to the {len(FEATURES)} features that "
+                f"verification measures, got {len(names)} others; run benchmarks/fit_verdict.py"
             )
-        return VerdictWeights(**{key: stored.get_tensor(key) for key in stored.keys()})
+        return VerdictWeights(**{key: stored.get_tensor(key) for key in _WEIGHTS})

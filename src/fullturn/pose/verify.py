@@ -41,6 +41,7 @@ _SEEN = (
     "sight_known",  # share of the two sensors whose place is known
 )
 _PAIR = ("log_points",)  # of the smaller cloud, natural logarithm
+_CONFLICT_REACH = 0.25  # normalized
 _RAW = _LOGARITHMIC + _LINEAR
 FEATURES = _RAW + tuple(f"{name}_sides" for name in _SIDED) + _SEEN + _PAIR
 
@@ -108,9 +109,12 @@ def _one_side(
     h: float,
 ) -> Float[Tensor, "k f"]:
     """The raw features of points moved onto the other surface, in the order of `_RAW`."""
-    partner, distance = other.index.nearest(points.reshape(-1, 3))
+    reach = max(_CONFLICT_REACH, 2.0 * h)
+    partner, distance = other.index.nearest(points.reshape(-1, 3), within=reach)
     partner, distance = partner.view(points.shape[:2]), distance.view(points.shape[:2])
     partner_normals = other.normals[partner]
+    # Without a partner in reach: the first point stands in, and the infinite distance keeps it out.
+    partner = partner.clamp_min(0)
     height = ((points - other.points[partner]) * partner_normals).sum(-1).abs()
     smooth_height = ((smooth - other.smooth[partner]) * partner_normals).sum(-1).abs() / h
     cosine = (normals * partner_normals).sum(-1).abs()
@@ -137,6 +141,6 @@ def _one_side(
         share((d < 1.5) & (smooth_height > 0.5)),
         share(hangs & (distance <= 0.05)),
         share(hangs & (distance > 0.05) & (distance <= 0.1)),
-        share(hangs & (distance > 0.1) & (distance <= 0.25)),
+        share(hangs & (distance > 0.1) & (distance <= _CONFLICT_REACH)),
     ]
     return torch.cat([(torch.stack(logarithmic, -1) + 1e-6).log(), torch.stack(linear, -1)], -1)

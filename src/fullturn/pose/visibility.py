@@ -6,7 +6,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-
 _MAX_PIXELS = 256  # of a side
 
 

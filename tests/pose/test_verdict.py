@@ -1,0 +1,175 @@
+"""Shares between finalists: what must hold for any weights, and the check of the shipped ones."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from pose_shapes import perturbations, pose_error, random_motions
+from torch import Tensor
+
+from fullturn.errors import FullturnError
+from fullturn.geometry import rigid
+from fullturn.pose import verdict
+from fullturn.pose.verdict import (
+    VerdictWeights,
+    judge,
+    load_weights,
+    log_probabilities,
+    same_pose,
+    verdict_inputs,
+)
+
+F = 6  # features of the weights made up here
+
+
+def weights(seed: int = 0, *, features: int = F) -> VerdictWeights:
+    rng = np.random.default_rng(seed)
+
+    def draw(*shape: int) -> Tensor:
+        return torch.from_numpy(np.asarray(rng.normal(size=shape)))
+
+    return VerdictWeights(
+        mean=draw(2 * features),
+        deviation=draw(2 * features).abs() + 0.5,
+        hidden=draw(2 * features, 4),
+        hidden_bias=draw(4),
+        output=draw(4),
+        none=draw(),
+    )
+
+
+@pytest.fixture(autouse=True)
+def made_up_weights(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(verdict, "load_weights", weights)
+
+
+def rows(count: int, *, seed: int = 0) -> Tensor:
+    return torch.from_numpy(np.random.default_rng(seed).normal(size=(count, F)))
+
+
+def test_inputs_are_the_features_and_their_lead_over_the_lowest() -> None:
+    features = rows(5)
+    inputs = verdict_inputs(features)
+    torch.testing.assert_close(inputs[:, :F], features)
+    torch.testing.assert_close(inputs[:, F:], features - features.min(0).values)
+    assert float(inputs[:, F:].min()) == 0.0
+
+
+def test_absent_finalists_are_as_if_they_were_not_there() -> None:
+    features = rows(6)
+    present = torch.tensor([True, False, True, True, False, True])
+    inputs = verdict_inputs(features, present)
+    alone = verdict_inputs(features[present])
+    torch.testing.assert_close(inputs[present], alone)
+    log_p = log_probabilities(inputs, weights(), present).exp()
+    expected = log_probabilities(alone, weights()).exp()
+    torch.testing.assert_close(log_p[torch.cat([present, torch.tensor([True])])], expected)
+    assert float(log_p[:-1][~present].max()) == 0.0
+
+
+def test_it_is_a_softmax_of_scores_with_none_of_them_last() -> None:
+    w, inputs = weights(), verdict_inputs(rows(4))
+    standard = np.clip((inputs.numpy() - w.mean.numpy()) / w.deviation.numpy(), -6, 6)
+    score = np.tanh(standard @ w.hidden.numpy() + w.hidden_bias.numpy()) @ w.output.numpy()
+    exponent = np.exp(np.append(score, float(w.none)))
+    np.testing.assert_allclose(
+        log_probabilities(inputs, w).exp().numpy(), exponent / exponent.sum(), atol=1e-12
+    )
+
+
+def test_a_batch_equals_the_loop_and_the_order_is_nothing() -> None:
+    features = torch.stack([rows(5, seed=seed) for seed in range(3)])
+    batch = log_probabilities(verdict_inputs(features), weights())
+    assert batch.shape == (3, 6)
+    torch.testing.assert_close(batch.exp().sum(-1), torch.ones(3).double())
+    order = torch.tensor([3, 0, 4, 1, 2])
+    for one, many in zip(features, batch, strict=True):
+        torch.testing.assert_close(log_probabilities(verdict_inputs(one), weights()), many)
+        mixed = log_probabilities(verdict_inputs(one[order]), weights())
+        torch.testing.assert_close(mixed[:-1], many[:-1][order])
+
+
+def test_same_pose_by_hand() -> None:
+    T = random_motions(4, seed=1)
+    near = torch.cat(
+        [
+            T @ perturbations(4, seed=2, angle_deg=angle, length=length)
+            for angle, length in ((4.9, 0.04), (5.1, 0.04), (4.9, 0.06), (179.0, 0.0))
+        ]
+    )
+    found = same_pose(T, near)
+    for i, j in np.ndindex(*found.shape):
+        angle, offset = pose_error(near[j], T[i])
+        assert bool(found[i, j]) == (float(angle) < 5.0 and float(offset) < 0.05)
+    assert found.sum().item() == 4
+
+
+@pytest.mark.parametrize("count", [1, 2, 40])
+def test_judged_poses_are_distinct_ranked_and_share_at_most_one(count: int) -> None:
+    # Three clusters of poses, looser than the tolerance.
+    centers = random_motions(3, seed=3)[torch.arange(count) % 3]
+    T = centers @ perturbations(count, seed=4, angle_deg=4.0, length=0.03)
+    judged = judge(T, rows(count))
+    assert len(judged.index) == len(judged.probability) >= min(count, 3)
+    assert sum(judged.probability) <= 1.0
+    assert min(judged.probability) >= 0.0
+    assert judged.probability == sorted(judged.probability, reverse=True)
+    listed = T[judged.index]
+    assert bool((same_pose(listed, listed) == torch.eye(len(listed), dtype=torch.bool)).all())
+    # Every finalist is listed or close to one that is.
+    assert bool(same_pose(T, listed).any(1).all())
+
+
+def test_equal_features_get_equal_shares() -> None:
+    T = random_motions(4, seed=5)
+    judged = judge(T, rows(1).expand(4, F))
+    assert judged.probability == pytest.approx([judged.probability[0]] * 4)
+    log_p = log_probabilities(verdict_inputs(rows(1).expand(4, F)), weights())
+    assert judged.probability[0] == pytest.approx(math.exp(float(log_p[0])))
+
+
+def test_finalists_within_the_tolerance_speak_for_one_pose() -> None:
+    pose, far = random_motions(2, seed=6)
+    near = pose @ rigid.exp_se3(torch.tensor([0.02, 0, 0, 0.01, 0, 0]).double())
+    features = rows(3)
+    judged = judge(torch.stack([pose, far, near]), features)
+    shares = log_probabilities(verdict_inputs(features), weights()).exp()
+    by_index = dict(zip(judged.index, judged.probability, strict=True))
+    assert len(by_index) == 2
+    assert by_index[1] == pytest.approx(float(shares[1]))
+    (together,) = (by_index[i] for i in (0, 2) if i in by_index)
+    assert together == pytest.approx(float(shares[0] + shares[2]))
+
+
+def test_single_precision_features_are_judged_in_double() -> None:
+    T, features = random_motions(6, seed=7), rows(6)
+    precise, coarse = judge(T, features), judge(T, features.float())
+    assert coarse.index == precise.index
+    assert coarse.probability == pytest.approx(precise.probability, abs=1e-5)
+
+
+def test_the_shipped_weights_fit_the_features() -> None:
+    from fullturn.pose.verify import FEATURES
+
+    shipped = load_weights()
+    inputs = 2 * len(FEATURES)
+    assert shipped.mean.shape == shipped.deviation.shape == (inputs,)
+    assert shipped.hidden.shape[0] == inputs
+    assert shipped.hidden.shape[1:] == shipped.hidden_bias.shape == shipped.output.shape
+    assert shipped.none.shape == ()
+    for value in vars(shipped).values():
+        assert value.dtype == torch.float64
+        assert bool(torch.isfinite(value).all())
+    assert float(shipped.deviation.min()) > 0.0
+
+
+def test_weights_for_other_features_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    load_weights.cache_clear()
+    monkeypatch.setattr(verdict, "FEATURES", ("distance", "gravity"))
+    with pytest.raises(FullturnError, match=r"expected weights for the features distance, gravity"):
+        load_weights()
+    monkeypatch.undo()
+    load_weights.cache_clear()
