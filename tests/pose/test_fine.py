@@ -1,4 +1,4 @@
-"""The last refinement is exact where the clouds are, robust where they aren't, and measures noise."""
+"""The last refinement: exact where the clouds are, robust where they aren't, aware of noise."""
 
 from __future__ import annotations
 
@@ -44,7 +44,9 @@ def refined(source: Cloud, target: Cloud, T: Tensor) -> Tensor:
 
 
 @pytest.mark.parametrize("missing", [0.0, 0.3])
-@pytest.mark.parametrize(("angle_deg", "length"), [(0.0, 0.0), (1e-5, 1e-7), (0.1, 1e-3), (1, 0.01)])
+@pytest.mark.parametrize(
+    ("angle_deg", "length"), [(0.0, 0.0), (1e-5, 1e-7), (0.1, 1e-3), (1, 0.01)]
+)
 def test_the_same_points_are_laid_on_each_other_exactly(
     missing: float, angle_deg: float, length: float
 ) -> None:

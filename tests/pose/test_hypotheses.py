@@ -47,9 +47,7 @@ def test_compatibility_by_hand() -> None:
         matches, source, target, source_normals, target_normals, length_tolerance=0.3
     )
     for a, b in np.ndindex(40, 40):
-        i, j, k, m = (
-            int(x) for x in (*matches.source[[a, b]], *matches.target[[a, b]])
-        )
+        i, j, k, m = (int(x) for x in (*matches.source[[a, b]], *matches.target[[a, b]]))
         here, there = float((source[i] - source[j]).norm()), float((target[k] - target[m]).norm())
         angles = abs(float(source_normals[i] @ source_normals[j])) - abs(
             float(target_normals[k] @ target_normals[m])

@@ -68,9 +68,7 @@ def test_a_batch_equals_the_loop_and_weightless_points_are_nothing() -> None:
     weight = weight.clone()
     weight[12:] = 0.0
     whole = normal_equations(at, difference, normal, weight, point_share=0.2)
-    part = normal_equations(
-        at[:12], difference[:12], normal[:12], weight[:12], point_share=0.2
-    )
+    part = normal_equations(at[:12], difference[:12], normal[:12], weight[:12], point_share=0.2)
     torch.testing.assert_close(whole, part)
 
 

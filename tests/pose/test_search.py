@@ -67,9 +67,7 @@ def test_finalists_are_rigid_measured_and_few() -> None:
 def test_finalists_differ() -> None:
     source, _ = clouds()
     T = found().T_target_source
-    apart = [
-        rms_displacement(T[i], T[j], source.points) for i in range(len(T)) for j in range(i)
-    ]
+    apart = [rms_displacement(T[i], T[j], source.points) for i in range(len(T)) for j in range(i)]
     assert float(np.median(apart)) > 0.1
 
 

@@ -6,8 +6,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from fullturn.geometry.neighbors import knn
+
 # Rows of the pair matrices worked on at once: their blocks then stay in the processor's cache.
 _ROWS_AT_ONCE = 32
+_AREA_NEIGHBORS = 16
 
 
 def surface_histogram(
@@ -15,7 +18,6 @@ def surface_histogram(
     normals: Float[Tensor, "n 3"],
     *,
     radius: float,
-    context: slice = slice(None),
     shells: int = 5,
     bins: int = 5,
 ) -> Float[Tensor, "n c"]:
@@ -24,26 +26,22 @@ def surface_histogram(
     For a point i and each point j with 0 < |d| < `radius`, d = pⱼ − pᵢ, the three numbers
     |cos ∠(nᵢ, d)|, |cos ∠(nⱼ, d)|, |cos ∠(nᵢ, nⱼ)| are counted in `bins` bins for each of `shells`
     shells of |d|/radius. Membership is linear between bin centers, in distance and in angle, so
-    noise moves counts smoothly. The signs of the normals never enter. Rows have unit length:
+    noise moves counts smoothly, and each point j counts with the area that it stands for, so that
+    dense parts don't drown the others. The signs of the normals never enter. Rows have unit length:
     square roots of shares (Hellinger), so that a dot product compares two of them.
 
     `radius` is in the unit of the points; the caller gives it as a multiple of their spacing, which
-    makes the result independent of scale. `context` picks the points j. Cost: n × |context|.
+    makes the result independent of scale. Cost: n².
     """
+    area = _local_area(points)
     center = points.mean(0)
     points = points - center
-    others, other_normals = points[context], normals[context]
-    distance = torch.cdist(points, others, compute_mode="donot_use_mm_for_euclid_dist")
+    distance = torch.cdist(points, points, compute_mode="donot_use_mm_for_euclid_dist")
     per_length = distance.clamp_min(1e-12).reciprocal()
-    own = normals @ others.T
+    own = normals @ points.T
     own -= (normals * points).sum(-1, keepdim=True)
-    theirs = points @ other_normals.T
-    theirs -= (other_normals * others).sum(-1)
-    cosines = [
-        own.mul_(per_length).abs_(),
-        theirs.mul_(per_length).abs_(),
-        (normals @ other_normals.T).abs_(),
-    ]
+    own = own.mul_(per_length).abs_()
+    cosines = [own, own.T.contiguous(), (normals @ normals.T).abs_()]
     distance /= radius
     n = len(points)
     counts = points.new_empty(n, shells, 3 * bins)
@@ -51,11 +49,18 @@ def surface_histogram(
         rows = slice(first, first + _ROWS_AT_ONCE)
         near = distance[rows]
         in_shell = _membership(near, shells)
-        in_shell *= ((near > 1e-6) & (near < 1)).unsqueeze(-2)
+        in_shell *= area * ((near > 1e-6) & (near < 1)).unsqueeze(-2)
         in_bin = torch.cat([_membership(cosine[rows], bins) for cosine in cosines], -2)
         torch.bmm(in_shell, in_bin.mT, out=counts[rows])
     histogram = counts.view(n, -1)
     return (histogram / histogram.sum(-1, keepdim=True).clamp_min(1e-12)).sqrt_()
+
+
+def _local_area(points: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
+    """Area per point, relative to the median: the squared distance to the 16th neighbor."""
+    _, distance = knn(points, points, min(_AREA_NEIGHBORS, len(points)))
+    area = distance[:, -1].square()
+    return (area / area.median().clamp_min(1e-12)).clamp_(0.1, 10.0)
 
 
 def _membership(values: Float[Tensor, "n m"], bins: int) -> Float[Tensor, "n bins m"]:

@@ -14,6 +14,7 @@ from fullturn.geometry.sampling import point_spacing, voxel_sample
 
 # The voxel size is searched on at least this many times as many points as are wanted.
 _DENSE = 8
+_FEW = 64
 _LARGEST_VOXEL = 0.15  # of a cloud's own radius
 
 
@@ -68,9 +69,12 @@ def level_pair(
 
 
 def _thin(points: Tensor, size: float) -> Tensor:
-    # A cloud far smaller than its partner must not vanish in one voxel.
-    radius = float((points - points.mean(0)).norm(dim=-1).max())
-    return _sorted(voxel_sample(points, min(size, _LARGEST_VOXEL * radius))[0])
+    thinned, _ = voxel_sample(points, size)
+    if len(thinned) < _FEW:
+        # A cloud far smaller than its partner must not vanish in one voxel.
+        radius = float((points - points.mean(0)).norm(dim=-1).max())
+        thinned, _ = voxel_sample(points, min(size, _LARGEST_VOXEL * radius))
+    return _sorted(thinned)
 
 
 def _voxel_size(points: Tensor, limit: int) -> float:

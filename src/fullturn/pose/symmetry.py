@@ -12,15 +12,17 @@ from torch import Tensor
 
 from fullturn.geometry import rigid
 from fullturn.geometry.cloud import Cloud
-from fullturn.pose.search import find_finalists
+from fullturn.pose.search import find_finalists, measure_pose
 from fullturn.pose.verify import FEATURES
 
 _SAME_AXIS_DEG = 12.0
 _SAME_ANGLE_DEG = 8.0
 _MAX_ORDER = 8
 _MANY = 4  # so many angles without a common step mean that any angle will do
-# A self-motion fits when its two-sided distance is within this factor of the identity's level.
-_FIT_MARGIN = 0.35
+# How far above that of no motion the logarithm of the squared distance may lie.
+_FIT_MARGIN = 0.25
+# Sorting along a direction without meaning spreads both halves of a cloud evenly.
+_SPLIT_DIRECTION = (1.0, 0.7548776662, 0.5698402910)
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +40,7 @@ def symmetry_of_poses(
     """The rotation symmetry of the source that would explain the rival poses, if one does.
 
     S = T_best⁻¹ T_rival moves the source onto itself. The axis that most rivals share is taken;
-    n-fold where all its angles are multiples of 360°/n for an n up to 8, at least half of which
+    n-fold where all its angles are multiples of 360°/n for an n up to 8, nearly all of which
     were seen; continuous where there are many other angles. None where fewer than half of the
     rivals share an axis, or their angles are no symmetry's.
     """
@@ -64,18 +66,21 @@ def symmetry_of_poses(
 def cloud_symmetries(cloud: Cloud) -> Float[Tensor, "k 4 4"]:
     """Motions, other than none, that lay a cloud approximately onto itself: best first.
 
-    The cloud is registered to itself; a finalist counts when its two-sided distance, truncated at
-    one point spacing, comes near what two samplings of one surface have. A partial cloud of a
-    symmetric object has a symmetry only if both halves were seen.
+    Every second point is registered to the others, so that no point finds itself. A motion counts
+    when its two-sided distance, truncated at one point spacing, comes close to that of no motion.
+    A partial cloud of a symmetric object has a symmetry only if both sides were seen.
     """
-    found = find_finalists(cloud, cloud)
-    fit = found.features[:, FEATURES.index("distance_one")]
+    order = torch.argsort(cloud.points @ cloud.points.new_tensor(_SPLIT_DIRECTION), stable=True)
+    halves = [Cloud(cloud.points[order[part::2]]) for part in (0, 1)]
+    found = find_finalists(*halves)
+    still = torch.eye(4, dtype=torch.float64, device=order.device)
+    column = FEATURES.index("distance_one")
+    fit = found.features[:, column]
     angle = rigid.rotation_angle_rad(found.T_target_source[:, :3, :3])
     offset = found.T_target_source[:, :3, 3].norm(dim=-1)
-    # Independent uniform samples of one surface have a mean of min(d/h, 1)² of about 0.45.
-    good = (fit < math.log(0.45) + _FIT_MARGIN) & ((angle > math.radians(5.0)) | (offset > 0.05))
-    order = torch.argsort(fit[good])
-    return found.T_target_source[good][order]
+    moves = (angle > math.radians(5.0)) | (offset > 0.05)
+    good = moves & (fit < measure_pose(*halves, still)[0, column] + _FIT_MARGIN)
+    return found.T_target_source[good][torch.argsort(fit[good], stable=True)]
 
 
 def _axis_angle(motion: Tensor) -> tuple[Tensor, float]:
@@ -102,6 +107,6 @@ def _order(angles_deg: list[float]) -> int | None:
         step = 360.0 / order
         multiples = {round(angle / step) for angle in angles_deg}
         fits = all(abs(a - step * round(a / step)) < _SAME_ANGLE_DEG for a in angles_deg)
-        if fits and 0 not in multiples and 2 * len(multiples) >= order // 2:
+        if fits and 0 not in multiples and 2 * len(multiples) >= order - 1:
             return order
     return 0 if len(angles_deg) >= _MANY else None

@@ -17,8 +17,9 @@ from fullturn.geometry.neighbors import NeighborIndex
 from fullturn.geometry.normals import estimate_normals
 from fullturn.geometry.sampling import point_spacing, voxel_sample
 from fullturn.methods.base import Estimate, Method, Traits
-from fullturn.pose.explain import pose_overlap
 from fullturn.pose.kabsch import weighted_kabsch
+from fullturn.pose.search import measure_pose
+from fullturn.pose.verdict import judge
 
 
 @dataclass(frozen=True)
@@ -52,6 +53,8 @@ class _Icp(Method):
     3. Weights: Geman-McClure of the residual, w = (s²/(s² + r²))², zero beyond the gate.
     4. Step: weighted Kabsch, or Gauss-Newton on the distances to the partners' planes.
     5. The scale s shrinks from coarse to 1.48 times the median residual.
+    6. The verdict of the default method gives the probability. ICP sees no rivals: poses that fit
+       as well, as those of a symmetric shape do, take nothing off it.
     """
 
     traits = Traits(local=True)
@@ -63,11 +66,12 @@ class _Icp(Method):
         source_side, target_side = (self._side(cloud.points) for cloud in (source, target))
         prepared = time.perf_counter()
         T_target_source = _align(source_side, target_side, self.config)
-        probability = _probability(source, target, T_target_source)
+        found = T_target_source.unsqueeze(0)
+        judged = judge(found, measure_pose(source, target, T_target_source))
         end = time.perf_counter()
         return Estimate(
-            T_target_source=T_target_source.unsqueeze(0),
-            success_probability=T_target_source.new_tensor([probability]),
+            T_target_source=found,
+            success_probability=found.new_tensor(judged.probability),
             seconds={"prepare": prepared - begin, "align": end - prepared},
         )
 
@@ -172,9 +176,3 @@ def _orthonormal(T: Tensor) -> Tensor:
     """Undo the rounding of many products, so that R is a rotation to the last digit."""
     left, _, right = torch.linalg.svd(T[:3, :3])
     return rigid.make(left @ right, T[:3, 3])
-
-
-def _probability(source: Cloud, target: Cloud, T_target_source: Tensor) -> float:
-    """A plain score: the product of the overlaps, to a power that makes half an overlap small."""
-    source_share, target_share = pose_overlap(source, target, T_target_source)
-    return float((source_share * target_share) ** 2)
