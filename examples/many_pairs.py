@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 import fullturn
-from fullturn.data.procedural import demo_object
+from fullturn.data.procedural import dog
 from fullturn.data.scan import scan_pair
 
 
 def main() -> None:
     rng = np.random.default_rng(0)
-    scans = [scan_pair(demo_object(), rng, points=512, min_overlap=0.4) for _ in range(2)]
+    scans = [scan_pair(dog(), rng, points=512, min_overlap=0.4) for _ in range(2)]
     pairs = [(pair.source, pair.target) for pair in scans]
     pairs.append((np.zeros((5, 3)), scans[0].target))  # five times the same point: no pose
 

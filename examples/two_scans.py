@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 import fullturn
-from fullturn.data.procedural import demo_object
+from fullturn.data.procedural import dog
 from fullturn.data.scan import scan_pair
 
 
 def main() -> None:
     # Stand-ins for your own two arrays of shape (N, 3) and (M, 3).
-    pair = scan_pair(demo_object(), np.random.default_rng(0), points=1024, min_overlap=0.4)
+    pair = scan_pair(dog(), np.random.default_rng(0), points=1024, min_overlap=0.4)
     source, target = pair.source, pair.target
 
     result = fullturn.register(source, target, seed=0)

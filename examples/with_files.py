@@ -7,7 +7,7 @@ import sys
 import numpy as np
 
 import fullturn
-from fullturn.data.procedural import demo_object
+from fullturn.data.procedural import dog
 from fullturn.data.scan import scan_pair
 from fullturn.io import save_cloud, write_transform
 from fullturn.viz.report import write_report
@@ -15,7 +15,7 @@ from fullturn.viz.report import write_report
 
 def main(paths: list[str]) -> None:
     if not paths:
-        pair = scan_pair(demo_object(), np.random.default_rng(0), points=1024, min_overlap=0.4)
+        pair = scan_pair(dog(), np.random.default_rng(0), points=1024, min_overlap=0.4)
         paths = ["source.ply", "target.ply"]
         save_cloud(paths[0], pair.source)
         save_cloud(paths[1], pair.target)

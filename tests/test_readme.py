@@ -16,11 +16,11 @@ BLOCKS = re.findall(r"^```python\n(.*?)^```", README, flags=re.DOTALL | re.MULTI
 @pytest.fixture
 def folder_with_scans(tmp_path):
     """An empty folder with the two scans that the README speaks of, as PLY and XYZ."""
-    from fullturn.data.procedural import demo_object
+    from fullturn.data.procedural import dog
     from fullturn.data.scan import scan_pair
     from fullturn.io import save_cloud
 
-    pair = scan_pair(demo_object(), np.random.default_rng(0), points=512, min_overlap=0.4)
+    pair = scan_pair(dog(), np.random.default_rng(0), points=512, min_overlap=0.4)
     for name, points in (("scan_a", pair.source), ("scan_b", pair.target)):
         save_cloud(tmp_path / f"{name}.ply", points)
         save_cloud(tmp_path / f"{name}.xyz", points)

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 import trimesh
@@ -7,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from fullturn.data import solids
 from fullturn.data.families import FAMILIES
-from fullturn.data.procedural import demo_object, procedural_mesh
+from fullturn.data.procedural import demo_object, dog, procedural_mesh
 from fullturn.data.surface import sample_faces, sample_surface
 
 
@@ -64,8 +66,9 @@ def test_generated_meshes_fill_the_unit_ball_and_repeat() -> None:
     assert np.abs(sample.mean(axis=0)).max() < 0.02
 
 
-def test_demo_object_has_no_symmetry() -> None:
-    points = sample_surface(demo_object(), 4000, np.random.default_rng(0))
+@pytest.mark.parametrize("make", [demo_object, dog])
+def test_demo_objects_have_no_symmetry(make: Callable[[], trimesh.Trimesh]) -> None:
+    points = sample_surface(make(), 4000, np.random.default_rng(0))
     tree = cKDTree(points)
     spacing = tree.query(points, k=2)[0][:, 1].mean()
     for axis in np.eye(3):

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 import torch
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
@@ -26,9 +27,16 @@ def bent_sheet(count: int, *, seed: int = 0) -> tuple[Tensor, Tensor]:
 
 
 def counted(
-    points: np.ndarray, normals: np.ndarray, *, radius: float, shells: int, bins: int
+    points: np.ndarray,
+    normals: np.ndarray,
+    *,
+    radius: float,
+    shells: int = 5,
+    bins: int = 5,
 ) -> np.ndarray:
     """The definition, pair by pair, with np.interp as the linear membership."""
+    reach = cKDTree(points).query(points, k=16)[0][:, -1] ** 2
+    area = np.clip(reach / np.quantile(reach, 0.5, method="lower"), 0.1, 10.0)
     rows = []
     for i, (p, n) in enumerate(zip(points, normals, strict=True)):
         table = np.zeros((shells, 3, bins))
@@ -38,14 +46,14 @@ def counted(
             if i == j or length >= radius:
                 continue
             u = d / length
-            shell = soft(length / radius, shells)
+            shell = area[j] * soft(length / radius, shells)
             for k, cosine in enumerate((abs(n @ u), abs(m @ u), abs(n @ m))):
                 table[:, k] += np.outer(shell, soft(cosine, bins))
         rows.append(np.sqrt(table.ravel() / max(table.sum(), 1e-12)))
     return np.array(rows)
 
 
-def soft(value: float, bins: int) -> np.ndarray:
+def soft(value: np.floating | float, bins: int) -> np.ndarray:
     centers = (np.arange(bins) + 0.5) / bins
     return np.array([np.interp(value, centers, np.eye(bins)[b]) for b in range(bins)])
 
@@ -84,11 +92,15 @@ def test_rows_have_unit_length_and_follow_the_points() -> None:
     )
 
 
-def test_the_context_is_the_points_that_are_counted() -> None:
-    points, normals = bent_sheet(64)
-    among = surface_histogram(points, normals, radius=RADIUS, context=slice(0, None, 2))
-    alone = surface_histogram(points[::2], normals[::2], radius=RADIUS)
-    torch.testing.assert_close(among[::2], alone)
+def test_density_matters_little() -> None:
+    points, normals = bent_sheet(900)
+    rows = surface_histogram(points, normals, radius=RADIUS)
+    rng = np.random.default_rng(6)
+    kept = torch.from_numpy((points[:, 0].numpy() < 0) | (rng.random(900) < 0.2))
+    thinned = surface_histogram(points[kept], normals[kept], radius=RADIUS)
+    similarity = (rows[kept] * thinned).sum(1)
+    assert float(similarity.min()) > 0.95
+    assert float(similarity.median()) > 0.985
 
 
 def test_single_precision_agrees_with_double() -> None:
@@ -113,15 +125,18 @@ def test_small_noise_moves_it_little_and_another_surface_far() -> None:
 
 
 def test_duplicates_and_lonely_points_give_finite_rows() -> None:
-    points, normals = bent_sheet(40)
+    points, normals = bent_sheet(200)
     lonely = torch.tensor([[50.0, 0, 0], [0, 50.0, 0]]).double()
     twice = torch.cat([points, points, lonely])
     rows = surface_histogram(twice, torch.cat([normals, normals, normals[:2]]), radius=RADIUS)
     assert bool(torch.isfinite(rows).all())
     assert float(rows[-2:].norm()) == 0.0
-    # Copies double every count but that of the point itself, so the shares stay.
+    # Copies double every count but that of the point itself.
     expected = surface_histogram(points, normals, radius=RADIUS)
-    torch.testing.assert_close(rows[:40], expected, atol=1e-6, rtol=0)
+    assert float((rows[:200] * expected).sum(1).min()) > 0.98
+    many = points[:10].repeat(40, 1)
+    found = surface_histogram(many, normals[:10].repeat(40, 1), radius=RADIUS)
+    assert bool(torch.isfinite(found).all())
 
 
 def test_a_plane_fills_the_bins_of_right_angles() -> None:

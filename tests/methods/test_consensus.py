@@ -174,7 +174,7 @@ def test_a_hundred_thousand_points() -> None:
     assert result.success_probability > 0.6
 
 
-@pytest.mark.parametrize(("n", "m"), [(600, 40_000), (40_000, 600)])
+@pytest.mark.parametrize(("n", "m"), [(1500, 60_000), (60_000, 1500)])
 def test_very_different_densities(n: int, m: int) -> None:
     T_true = true_pose(8)
     source = partial(teapot(), n, seed=8, side=1)
@@ -214,7 +214,7 @@ def test_a_few_stray_points(distance: float) -> None:
 def test_another_unit_by_mistake_is_answered_with_no_confidence(factor: float) -> None:
     source, target = (partial(teapot(), 3000, seed=seed) for seed in (12, 13))
     result = fullturn.register(source, target * factor)
-    assert result.success_probability < 0.2
+    assert result.success_probability < 0.3
     assert any("unit" in note for note in result.notes)
 
 

@@ -47,7 +47,8 @@ class TestWithMatplotlib:
         path = tmp_path / "figure.png"
         save_figure(path, *make_pair(shape, count=100), dpi=60)
         picture = imread(path)
-        assert picture.shape[:2] == (300, 780)
+        assert picture.shape[1] == 780
+        assert 60 * 3.3 <= picture.shape[0] <= 60 * 5.5
         assert picture[..., :3].mean() < 0.999  # something is drawn
 
     def test_panels_have_one_scale(self, make_pair):

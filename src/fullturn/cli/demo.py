@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-OBJECT_NAME = "teapot"
+OBJECT_NAME = "dog"
+NOISE = 0.002  # standard deviation along the line of sight, in radii of the object
 
 
 def demo(
@@ -26,7 +27,7 @@ def demo(
 
     from fullturn.api import register
     from fullturn.cli.render import print_table
-    from fullturn.data.procedural import demo_object
+    from fullturn.data.procedural import dog
     from fullturn.data.scan import scan_pair
     from fullturn.errors import DependencyError, WriteError
     from fullturn.evaluation.metrics import mean_point_distance, rotation_error_deg
@@ -43,7 +44,12 @@ def demo(
 
     typer.echo(f"Two scans of a {OBJECT_NAME}, {points:,} points each, from two sides, any pose …")
     pair = scan_pair(
-        demo_object(), np.random.default_rng(seed), points=points, min_overlap=0.4, name=OBJECT_NAME
+        dog(),
+        np.random.default_rng(seed),
+        points=points,
+        min_overlap=0.4,
+        noise_sigma=NOISE,
+        name=OBJECT_NAME,
     )
     result = register(pair.source, pair.target, method=method, seed=seed)
     T = result.T_target_source

@@ -11,6 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from fullturn.result import Registration
+from fullturn.viz.tables import probability
 
 
 def print_table(result: Registration, *, source_name: str, target_name: str) -> None:
@@ -26,14 +27,15 @@ def print_table(result: Registration, *, source_name: str, target_name: str) -> 
     row("source → target", f"{source_name} → {target_name}")
     row("rotation", f"{rotation_deg(T):.2f}°")
     row("translation", "  ".join(f"{x:.6g}" for x in T[:3, 3]))
-    row("probability", f"{result.success_probability:.3f} that this pose is the true one")
+    row("probability", f"{probability(result.success_probability)} that this pose is the true one")
     row("overlap", "{:.0%} of the source, {:.0%} of the target".format(*result.overlap))
     for number, other in enumerate(result.alternatives, start=1):
         angle_deg = rotation_deg(np.linalg.inv(T) @ other.T_target_source)
         shares = "{:.0%} and {:.0%}".format(*other.overlap)
         row(
             f"alternative {number}",
-            f"probability {other.success_probability:.3f}, {angle_deg:.1f}° away, overlap {shares}",
+            f"probability {probability(other.success_probability)}, {angle_deg:.1f}° away, "
+            f"overlap {shares}",
         )
     if result.symmetry is not None:
         row("symmetry", result.symmetry.description)

@@ -13,6 +13,7 @@ from torch import Tensor
 from fullturn.geometry import rigid
 from fullturn.geometry.cloud import Cloud
 from fullturn.pose.search import find_finalists, measure_pose
+from fullturn.pose.verdict import same_pose
 from fullturn.pose.verify import FEATURES
 
 _SAME_AXIS_DEG = 12.0
@@ -20,7 +21,7 @@ _SAME_ANGLE_DEG = 8.0
 _MAX_ORDER = 8
 _MANY = 4  # so many angles without a common step mean that any angle will do
 # How far above that of no motion the logarithm of the squared distance may lie.
-_FIT_MARGIN = 0.25
+_FIT_MARGIN = 0.15
 # Sorting along a direction without meaning spreads both halves of a cloud evenly.
 _SPLIT_DIRECTION = (1.0, 0.7548776662, 0.5698402910)
 
@@ -67,20 +68,22 @@ def cloud_symmetries(cloud: Cloud) -> Float[Tensor, "k 4 4"]:
     """Motions, other than none, that lay a cloud approximately onto itself: best first.
 
     Every second point is registered to the others, so that no point finds itself. A motion counts
-    when its two-sided distance, truncated at one point spacing, comes close to that of no motion.
+    when its two-sided distance, truncated at two point spacings, comes close to that of no motion.
     A partial cloud of a symmetric object has a symmetry only if both sides were seen.
     """
     order = torch.argsort(cloud.points @ cloud.points.new_tensor(_SPLIT_DIRECTION), stable=True)
-    halves = [Cloud(cloud.points[order[part::2]]) for part in (0, 1)]
-    found = find_finalists(*halves)
+    one, other = (Cloud(cloud.points[order[part::2]]) for part in (0, 1))
+    found = find_finalists(one, other)
     still = torch.eye(4, dtype=torch.float64, device=order.device)
-    column = FEATURES.index("distance_one")
+    column = FEATURES.index("distance_two")
     fit = found.features[:, column]
-    angle = rigid.rotation_angle_rad(found.T_target_source[:, :3, :3])
-    offset = found.T_target_source[:, :3, 3].norm(dim=-1)
-    moves = (angle > math.radians(5.0)) | (offset > 0.05)
-    good = moves & (fit < measure_pose(*halves, still)[0, column] + _FIT_MARGIN)
-    return found.T_target_source[good][torch.argsort(fit[good], stable=True)]
+    good = fit < measure_pose(one, other, still)[0, column] + _FIT_MARGIN
+    ranked = found.T_target_source[good][torch.argsort(fit[good], stable=True)]
+    kept = [still]
+    for T in ranked:
+        if not same_pose(T[None], torch.stack(kept)).any():
+            kept.append(T)
+    return torch.stack(kept)[1:]
 
 
 def _axis_angle(motion: Tensor) -> tuple[Tensor, float]:

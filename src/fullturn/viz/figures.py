@@ -84,17 +84,27 @@ def draw_figure(
         "After": (np.concatenate([aligned, target]), by_cloud),
         "Overlap": (np.concatenate([aligned, target]), by_distance),
     }
-    figure = Figure(figsize=(13.0, 5.0), facecolor="white")
-    FigureCanvasAgg(figure)
     # Columns as wide as what they show, so that all panels have one scale.
     widths = [max(float(np.ptp(points[:, 0])), 1e-9) for points, _ in panels.values()]
-    grid = {"width_ratios": widths, "wspace": 0.12, "left": 0.02, "right": 0.98}
-    grid |= {"top": 0.84, "bottom": 0.1}
-    spots = figure.subplots(1, 3, gridspec_kw=grid)
     height = max(float(np.ptp(points[:, 1])) for points, _ in panels.values())
+    # The panels fill the width; a tall or wide shape is cut short, for a page must hold it.
+    inches = min(max(11.6 * 1.04 * height / sum(widths), 2.0), 4.2)
+    figure = Figure(figsize=(13.0, inches + 1.3), facecolor="white")
+    FigureCanvasAgg(figure)
+    grid = {"width_ratios": widths, "wspace": 0.12, "left": 0.02, "right": 0.98}
+    grid |= {"top": 1.0 - 0.85 / (inches + 1.3), "bottom": 0.45 / (inches + 1.3)}
+    spots = figure.subplots(1, 3, gridspec_kw=grid)
     for axes, (name, (points, colors)) in zip(spots, panels.items(), strict=True):
         draw_panel(axes, name, points, colors, height=height)
-    figure.suptitle(headline(registration), x=0.02, ha="left", color=INK, fontsize=14)
+    figure.suptitle(
+        headline(registration),
+        x=0.02,
+        y=1.0 - 0.12 / (inches + 1.3),
+        ha="left",
+        va="top",
+        color=INK,
+        fontsize=14,
+    )
     entries = [("source", SOURCE), ("target", TARGET), ("has a partner", OVERLAP[0])]
     entries.append(("has none", OVERLAP[2]))
     handles = [
