@@ -9,6 +9,7 @@ import typer
 
 OBJECT_NAME = "dog"
 NOISE = 0.002  # standard deviation along the line of sight, in radii of the object
+LEAST_OVERLAP = 0.6  # share of each scan that the other one sees, too
 
 
 def demo(
@@ -47,7 +48,7 @@ def demo(
         dog(),
         np.random.default_rng(seed),
         points=points,
-        min_overlap=0.4,
+        min_overlap=LEAST_OVERLAP,
         noise_sigma=NOISE,
         name=OBJECT_NAME,
     )

@@ -13,6 +13,9 @@ from fullturn.pose.fine import FinePair, measure_residuals
 _INFLATION = 5.0
 # Where the clouds say nothing, a standard deviation of one radian and one radius.
 _PRIOR = 1.0
+# Coordinates are no better than this (normalized), even where all partners agree exactly; an
+# information beyond it would swallow the prior in rounding.
+_LEAST_SIGMA = 1e-6
 
 
 def pose_covariance(
@@ -24,7 +27,8 @@ def pose_covariance(
     they show across and along the surface (`measure_residuals`). It describes noise around this
     pose, given that it is the right one; the choice between poses is `success_probability`.
     """
-    H = measure_residuals(T_target_source, pair, cutoff=cutoff).H
-    prior = _PRIOR * torch.eye(6, dtype=H.dtype, device=H.device)
-    covariance = torch.linalg.inv(H / _INFLATION + prior)
-    return (covariance + covariance.mT) / 2
+    residuals = measure_residuals(T_target_source, pair, cutoff=cutoff)
+    floor = min(1.0, residuals.sigma_normal / _LEAST_SIGMA) ** 2
+    H = floor * (residuals.H + residuals.H.mT) / (2.0 * _INFLATION)
+    values, vectors = torch.linalg.eigh(H)
+    return (vectors / (values.clamp_min(0.0) + _PRIOR)) @ vectors.mT

@@ -58,9 +58,16 @@ def save_figure(
 
 
 def draw_figure(
-    source_points: ArrayLike, target_points: ArrayLike, registration: Registration
+    source_points: ArrayLike,
+    target_points: ArrayLike,
+    registration: Registration,
+    *,
+    title: str | None = None,
 ) -> Figure:
-    """Return the figure that `save_figure` writes; no window and no global state is involved."""
+    """Return the figure that `save_figure` writes; no window and no global state is involved.
+
+    `title` replaces the line that says what came out.
+    """
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.colors import LinearSegmentedColormap, to_rgb
@@ -97,7 +104,7 @@ def draw_figure(
     for axes, (name, (points, colors)) in zip(spots, panels.items(), strict=True):
         draw_panel(axes, name, points, colors, height=height)
     figure.suptitle(
-        headline(registration),
+        headline(registration) if title is None else title,
         x=0.02,
         y=1.0 - 0.12 / (inches + 1.3),
         ha="left",

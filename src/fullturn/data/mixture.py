@@ -1,0 +1,87 @@
+"""Pairs of many kinds at once: what a method that judges itself has to have seen."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from fullturn.data.pair import Pair
+from fullturn.data.protocols import PROTOCOLS, make_pair
+from fullturn.data.scan import scan_pair
+from fullturn.data.shapes import MeshSource
+from fullturn.data.solids import to_unit_ball
+
+KINDS = {  # name: share of the pairs
+    "noisy": 0.15,
+    "clean": 0.05,
+    "noisy-resampled": 0.18,
+    "clean-resampled": 0.08,
+    "plane": 0.20,
+    "scan": 0.22,
+    "unrelated": 0.12,
+}
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class MixedPair:
+    """A pair, which kind it is of, and the shape that it shows (for splits by shape)."""
+
+    pair: Pair
+    kind: str  # a key of KINDS; the pose of an "unrelated" pair means nothing
+    shape: str
+
+
+def mixed_pair(shapes: Sequence[MeshSource], *, seed: int, number: int) -> MixedPair:
+    """Pair `number` of a mixture that depends on (seed, number) and the shapes alone.
+
+    One sampling or two, noise or none, half-space and plane crops, virtual scans, from a dozen to
+    thousands of points, and two different shapes that don't belong together.
+    """
+    rng = np.random.default_rng([seed, number])
+    source = shapes[int(rng.integers(len(shapes)))]
+    index = int(rng.integers(len(source)))
+    kind = str(rng.choice(list(KINDS), p=list(KINDS.values())))
+    if kind != "unrelated":
+        return MixedPair(_draw(source, index, kind, rng), kind, source.name(index))
+    kinds = [k for k in KINDS if k != "unrelated"]
+    first = _draw(source, index, str(rng.choice(kinds)), rng)
+    other = (index + 1 + int(rng.integers(len(source) - 1))) % len(source)
+    second = _draw(source, other, str(rng.choice(kinds)), rng)
+    unrelated = dataclasses.replace(
+        first, target=second.target, target_viewpoint=second.target_viewpoint
+    )
+    return MixedPair(unrelated, kind, source.name(index))
+
+
+def _draw(source: MeshSource, index: int, kind: str, rng: np.random.Generator) -> Pair:
+    if kind == "scan":
+        mesh = to_unit_ball(source.raw_mesh(index))
+        return scan_pair(
+            mesh,
+            rng,
+            points=int(rng.integers(500, 3000))
+            if rng.random() < 0.85
+            else int(rng.integers(60, 500)),
+            min_overlap=float(rng.uniform(0.2, 0.7)),
+            noise_sigma=float(rng.choice([0.0, 0.002, 0.005, 0.01])),
+        )
+    sigma = float(rng.choice([0.005, 0.01, 0.01, 0.015]))
+    few = int(np.exp(rng.uniform(np.log(12), np.log(400))))
+    if kind == "plane":
+        protocol = dataclasses.replace(
+            PROTOCOLS["geotransformer/180"],
+            kept_share=float(rng.uniform(0.5, 0.8)),
+            cloud_points=int(rng.integers(300, 800)) if rng.random() < 0.85 else few,
+            noise_sigma=sigma if rng.random() < 0.8 else 0.0,
+        )
+    else:
+        points = int(rng.choice([few, 512, 1024, 1024, 1024, 2048]))
+        protocol = dataclasses.replace(
+            PROTOCOLS[f"modelnet40/{kind}/180"],
+            sample_points=points,
+            cloud_points=points * 3 // 4,
+            noise_sigma=sigma if kind.startswith("noisy") else 0.0,
+        )
+    return make_pair(protocol, source, index, rng=rng)
