@@ -232,14 +232,14 @@ def main() -> None:
     parser.add_argument(
         "--out", type=Path, default=Path("runs/verdict"), help="folder of the pairs"
     )
-    parser.add_argument("--count", type=int, default=5000, help="pairs to collect")
+    parser.add_argument("--count", type=int, default=4000, help="pairs to collect")
     parser.add_argument("--first", type=int, default=0, help="number of the first pair")
     parser.add_argument("--shard", type=int, default=50, help="pairs a file")
     parser.add_argument("--seed", type=int, default=20)
     parser.add_argument("--data", default=os.environ.get("FULLTURN_DATA"), help="mesh packs")
     parser.add_argument("--hidden", type=int, default=16)
-    parser.add_argument("--steps", type=int, default=2000)
-    parser.add_argument("--weight-decay", type=float, default=0.05)
+    parser.add_argument("--steps", type=int, default=2500)
+    parser.add_argument("--weight-decay", type=float, default=0.03)
     parser.add_argument(
         "--weights", type=Path, default=Path("src/fullturn/weights/verdict.safetensors")
     )

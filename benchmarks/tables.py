@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import textwrap
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -19,12 +20,12 @@ from common import markdown_table, percent
 BEGIN, END = "<!-- benchmark:start -->", "<!-- benchmark:end -->"
 ROOT = Path(__file__).resolve().parents[1]
 # Mean rotation errors in degrees from the tables of the GMCNet paper, rotations up to 180°.
-PAPER = {"modelnet40/clean/180": 0.036, "modelnet40/noisy/180": 18.13}
+PAPER = {"modelnet40/clean/180": "0.036", "modelnet40/noisy/180": "18.13"}
 SETS = {
     "modelnet40/clean/180": "clean",
     "modelnet40/noisy/180": "noise",
-    "modelnet40/noisy-resampled/180": "noise, each scan with points of its own",
-    "geotransformer/180": "the same, other crops",
+    "modelnet40/noisy-resampled/180": "noise, two samples of the surface",
+    "geotransformer/180": "noise, each scan cropped from a side of its own",
 }
 OVERLAPS = {
     "overlap 0.6 and more": "60 % and more",
@@ -40,14 +41,14 @@ def section(results: Path) -> str:
     parts = [part for part in parts if part]
     if not parts:
         return ""
-    opening = (
-        "## Measured\n\n"
-        "Mean and median rotation error; the share of pairs *within 5°*; the share that is *right*, "
-        "which means within 5° and 5 % of the radius; the mean probability that the method *said*, "
-        "which should equal the share that is right; and the median CPU seconds of a pair on one "
-        "thread. Open3D is FPFH, RANSAC with 100,000 rounds and ICP, on the same pairs.\n"
+    opening = paragraph(
+        "Mean and median rotation error; the share of pairs *within 5°*; the share that is "
+        "*right*, which means within 5° and 5 % of the radius; the mean probability that the "
+        "method *said*, which should equal the share that is right; and the median CPU seconds of "
+        "a pair on one thread. Open3D is FPFH, RANSAC with 100,000 rounds and ICP on the same "
+        "pairs (`benchmarks/open3d_baseline.py`)."
     )
-    return "\n".join([opening, *parts])
+    return "\n".join(["## Measured\n", opening, *parts])
 
 
 def modelnet_part(results: Path) -> str:
@@ -62,15 +63,14 @@ def modelnet_part(results: Path) -> str:
         summaries = {name: part["summary"] for name, part in sets.items()}
         lines += list(rows(title, summaries))
         if key in PAPER and summaries:
-            lines.append(["", "GMCNet, as published", f"{PAPER[key]:.3g}", *["–"] * 5])
-    return (
-        "**ModelNet40**, partial clouds of 768 points (717 in the last rows), any rotation. The "
-        "published numbers are for all 40 categories; here it is a part of them, mostly airplanes "
-        "and bathtubs, so they are a landmark and no comparison.\n\n"
-        f"{markdown_table(HEADER, lines)}\n"
-        "The rows without points of their own are easy for a reason: both clouds hold the same "
-        f"points of the surface. `{command('modelnet', reports[0][1])}`\n"
+            lines.append(["", "GMCNet, as published", PAPER[key], *["–"] * 5])
+    opening = paragraph(
+        "**ModelNet40**, partial clouds of 768 points (717 in the last rows), any rotation. In the "
+        "first two sets both clouds hold the same points of the surface, which no two scans do. "
+        "The published numbers are for all 40 categories; here it is a part of them, mostly "
+        "airplanes and bathtubs, so they are a landmark and no comparison."
     )
+    return f"{opening}\n{markdown_table(HEADER, lines)}\n{command('modelnet', reports[0][1])}\n"
 
 
 def scans_part(results: Path) -> str:
@@ -88,12 +88,12 @@ def scans_part(results: Path) -> str:
     for key, title in OVERLAPS.items():
         found = {name: r["summaries"][key] for name, r in reports if key in r["summaries"]}
         lines += list(rows(f"overlap {title}", found))
-    return (
+    opening = paragraph(
         "**Real range scans**, the Stanford bunny and dragon, 15,000 to 44,000 points each, every "
-        "pair by how much the scans share. *Thinned* is by a grid of 5 % of the radius.\n\n"
-        f"{markdown_table(HEADER, lines)}\n"
-        f"`{command('real_scans', reports[0][1])}`\n"
+        "pair by how much the scans share, against Stanford's own alignment. *Thinned* is by a "
+        "grid of 5 % of the radius."
     )
+    return f"{opening}\n{markdown_table(HEADER, lines)}\n{command('real_scans', reports[0][1])}\n"
 
 
 def speed_part(results: Path) -> str:
@@ -109,7 +109,7 @@ def speed_part(results: Path) -> str:
     return (
         f"**Speed** on one thread ({report['machine']['processor']}).\n\n"
         f"{markdown_table(('points per scan', 'CPU s', 'peak memory, MiB'), lines)}\n"
-        f"`{command('speed', report)}`\n"
+        f"{command('speed', report)}\n"
     )
 
 
@@ -152,10 +152,16 @@ def rows(title: str, summaries: dict[str, dict[str, Any]]) -> Iterator[list[str]
 
 def command(script: str, report: dict[str, Any]) -> str:
     """What makes these numbers again."""
-    data = "" if script == "speed" else " --data DIR"
-    return (
-        f"python benchmarks/{script}.py{data} --method {report['method']} --seed {report['seed']}"
-    )
+    options = "" if script == "speed" else " --data DIR"
+    if script == "modelnet":
+        options += f" --count {max(part['summary']['n'] for part in report['sets'].values())}"
+    options += f" --method {report['method']} --seed {report['seed']}"
+    return f"`python benchmarks/{script}.py{options}`"
+
+
+def paragraph(text: str) -> str:
+    """Text wrapped as the README is."""
+    return textwrap.fill(text, 100, break_long_words=False, break_on_hyphens=False) + "\n"
 
 
 def rewrite(readme: str, text: str) -> str:

@@ -31,4 +31,5 @@ def pose_covariance(
     floor = min(1.0, residuals.sigma_normal / _LEAST_SIGMA) ** 2
     H = floor * (residuals.H + residuals.H.mT) / (2.0 * _INFLATION)
     values, vectors = torch.linalg.eigh(H)
-    return (vectors / (values.clamp_min(0.0) + _PRIOR)) @ vectors.mT
+    covariance = (vectors / (values.clamp_min(0.0) + _PRIOR)) @ vectors.mT
+    return (covariance + covariance.mT) / 2.0
