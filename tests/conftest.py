@@ -2,6 +2,23 @@
 
 from __future__ import annotations
 
-from jaxtyping import install_import_hook
+from collections.abc import Iterator
 
-install_import_hook("fullturn", "type_checks.checked")
+import pytest
+from jaxtyping import config, install_import_hook
+
+ROOMS = (
+    "geometry", "features", "matching", "pose", "methods.consensus", "methods.classical", "normalize",
+    "data", "evaluation",
+)  # fmt: skip
+
+# The front door, the files and the command line answer wrong types themselves, by named errors.
+install_import_hook([f"fullturn.{room}" for room in ROOMS], "type_checks.checked")
+
+
+@pytest.fixture
+def unchecked() -> Iterator[None]:
+    """Without the type checks: for tests of what the package itself says about wrong shapes."""
+    config.update("jaxtyping_disable", True)
+    yield
+    config.update("jaxtyping_disable", False)

@@ -119,6 +119,7 @@ def test_risk_coverage_counted_by_hand() -> None:
     assert np.allclose(risk, [0.0, 1 / 2, 1 / 3, 1 / 2])
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_bad_probabilities_are_named() -> None:
     with pytest.raises(InputError, match=r"in \[0, 1\]"):
         metrics.brier(np.array([1.2]), np.array([True]))

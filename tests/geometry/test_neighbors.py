@@ -156,6 +156,7 @@ def test_fill_with_self() -> None:
     assert neighbors.fill_with_self(index).tolist() == [[0, 0], [1, 0]]
 
 
+@pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize(
     ("points", "k", "message"),
     [

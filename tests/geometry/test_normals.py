@@ -217,6 +217,7 @@ def test_parts_do_not_change_the_result(monkeypatch: pytest.MonkeyPatch) -> None
     torch.testing.assert_close(parts.normals, whole.normals, rtol=0, atol=1e-12)
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_bad_arguments_are_named() -> None:
     points = ellipsoid(20)
     with pytest.raises(InputError, match="must be one of origin, viewpoint, centroid, none"):

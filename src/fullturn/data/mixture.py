@@ -6,7 +6,9 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
+from jaxtyping import Float
 
+from fullturn.data.motion import uniform_direction
 from fullturn.data.pair import Pair
 from fullturn.data.protocols import PROTOCOLS, make_pair
 from fullturn.data.scan import scan_pair
@@ -22,6 +24,9 @@ KINDS = {  # name: share of the pairs
     "scan": 0.22,
     "unrelated": 0.12,
 }
+
+_UNEVEN = 0.3  # share of the pairs whose clouds are thinned unevenly
+_LEAST_POINTS = 12
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -56,6 +61,26 @@ def mixed_pair(shapes: Sequence[MeshSource], *, seed: int, number: int) -> Mixed
 
 
 def _draw(source: MeshSource, index: int, kind: str, rng: np.random.Generator) -> Pair:
+    pair = _draw_even(source, index, kind, rng)
+    if rng.random() >= _UNEVEN:
+        return pair
+    return dataclasses.replace(
+        pair, source=_uneven(pair.source, rng), target=_uneven(pair.target, rng)
+    )
+
+
+def _uneven(points: Float[np.ndarray, "n 3"], rng: np.random.Generator) -> np.ndarray:
+    """Thinner overall by up to 4, or by up to 8 towards one side, as far from a sensor."""
+    if rng.random() < 0.5:
+        kept = rng.random(len(points)) < rng.uniform(0.25, 1.0)
+    else:
+        along = points @ uniform_direction(rng)
+        position = (along - along.min()) / max(float(np.ptp(along)), 1e-12)
+        kept = rng.random(len(points)) < rng.uniform(2.0, 8.0) ** -position
+    return points[kept] if kept.sum() >= _LEAST_POINTS else points
+
+
+def _draw_even(source: MeshSource, index: int, kind: str, rng: np.random.Generator) -> Pair:
     if kind == "scan":
         mesh = to_unit_ball(source.raw_mesh(index))
         return scan_pair(
@@ -77,7 +102,7 @@ def _draw(source: MeshSource, index: int, kind: str, rng: np.random.Generator) -
             noise_sigma=sigma if rng.random() < 0.8 else 0.0,
         )
     else:
-        points = int(rng.choice([few, 512, 1024, 1024, 1024, 2048]))
+        points = int(rng.choice([few, 512, 1024, 1024, 1024, 2048, 4096]))
         protocol = dataclasses.replace(
             PROTOCOLS[f"modelnet40/{kind}/180"],
             sample_points=points,

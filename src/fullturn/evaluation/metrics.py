@@ -19,8 +19,8 @@ SUCCESS_SHARE = 0.05  # of the source's radius
 
 
 def rotation_error_deg(
-    found: Float[np.ndarray, "*batch 4 4"], true: Float[np.ndarray, "*batch 4 4"]
-) -> Float[np.ndarray, "*batch"]:
+    found: Float[np.ndarray, "*#batch 4 4"], true: Float[np.ndarray, "*#batch 4 4"]
+) -> Float[np.ndarray, "..."] | np.floating:
     """The angle of R_trueᵀ·R_found, in [0, 180].
 
     arccos((tr − 1)/2) in its atan2 form, which keeps its digits near 0° and near 180°.
@@ -37,8 +37,8 @@ def rotation_error_deg(
 
 
 def translation_error(
-    found: Float[np.ndarray, "*batch 4 4"], true: Float[np.ndarray, "*batch 4 4"]
-) -> Float[np.ndarray, "*batch"]:
+    found: Float[np.ndarray, "*#batch 4 4"], true: Float[np.ndarray, "*#batch 4 4"]
+) -> Float[np.ndarray, "..."] | np.floating:
     """|t − t_true|; it depends on where the source frame has its origin."""
     return np.linalg.norm(found[..., :3, 3] - true[..., :3, 3], axis=-1)
 
@@ -177,7 +177,7 @@ def risk_coverage(
 
 
 def bootstrap_interval(
-    values: Float[np.ndarray, "n"],
+    values: Float[np.ndarray, "n"] | Bool[np.ndarray, "n"],
     rng: np.random.Generator,
     *,
     level: float = 0.95,

@@ -6,16 +6,14 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from fullturn.geometry.neighbors import knn
-
 # Rows of the pair matrices worked on at once: their blocks then stay in the processor's cache.
 _ROWS_AT_ONCE = 32
-_AREA_NEIGHBORS = 16
 
 
 def surface_histogram(
     points: Float[Tensor, "n 3"],
     normals: Float[Tensor, "n 3"],
+    area: Float[Tensor, " n"],
     *,
     radius: float,
     shells: int = 5,
@@ -26,14 +24,13 @@ def surface_histogram(
     For a point i and each point j with 0 < |d| < `radius`, d = pⱼ − pᵢ, the three numbers
     |cos ∠(nᵢ, d)|, |cos ∠(nⱼ, d)|, |cos ∠(nᵢ, nⱼ)| are counted in `bins` bins for each of `shells`
     shells of |d|/radius. Membership is linear between bin centers, in distance and in angle, so
-    noise moves counts smoothly, and each point j counts with the area that it stands for, so that
+    noise moves counts smoothly, and each point j counts with the `area` that it stands for, so that
     dense parts don't drown the others. The signs of the normals never enter. Rows have unit length:
     square roots of shares (Hellinger), so that a dot product compares two of them.
 
     `radius` is in the unit of the points; the caller gives it as a multiple of their spacing, which
     makes the result independent of scale. Cost: n².
     """
-    area = _local_area(points)
     center = points.mean(0)
     points = points - center
     distance = torch.cdist(points, points, compute_mode="donot_use_mm_for_euclid_dist")
@@ -54,13 +51,6 @@ def surface_histogram(
         torch.bmm(in_shell, in_bin.mT, out=counts[rows])
     histogram = counts.view(n, -1)
     return (histogram / histogram.sum(-1, keepdim=True).clamp_min(1e-12)).sqrt_()
-
-
-def _local_area(points: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
-    """Area per point, relative to the median: the squared distance to the 16th neighbor."""
-    _, distance = knn(points, points, min(_AREA_NEIGHBORS, len(points)))
-    area = distance[:, -1].square()
-    return (area / area.median().clamp_min(1e-12)).clamp_(0.1, 10.0)
 
 
 def _membership(values: Float[Tensor, "n m"], bins: int) -> Float[Tensor, "n bins m"]:

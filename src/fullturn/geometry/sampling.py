@@ -14,6 +14,7 @@ from fullturn.geometry.neighbors import NeighborIndex
 
 # The median of this many nearest-neighbor distances is stable to a few percent.
 _SPACING_QUERIES = 2000
+_AREA_NEIGHBORS = 16
 
 
 def farthest_point_sample(
@@ -101,6 +102,20 @@ def point_spacing(points: Float[Tensor, "n 3"], *, index: NeighborIndex | None =
     if n < 2:
         raise InputError(f"point_spacing needs at least two distinct points, got {n}")
     return float(distance.median())
+
+
+def local_area(points: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
+    """Surface area that each point stands for, up to a common factor: 1 on average.
+
+    The squared distance to the 16th nearest point, held within a tenth and ten times the median.
+    """
+    if len(points) < 2:
+        return torch.ones_like(points[:, 0])
+    _, distance = NeighborIndex(points).knn(points, min(_AREA_NEIGHBORS, len(points)))
+    area = distance[:, -1].square()
+    median = area.median().clamp_min(torch.finfo(area.dtype).tiny)
+    area = (area / median).clamp_(0.1, 10.0)
+    return area / area.mean()
 
 
 def _farthest_numpy(points: np.ndarray, count: int, start: int) -> np.ndarray:

@@ -69,17 +69,23 @@ def seeded_poses(
 
 def score_poses(
     points: Float[Tensor, "n 3"],
+    area: Float[Tensor, " n"],
     grid: NearestGrid,
     T_grid_points: Float[Tensor, "k 4 4"],
     *,
     truncation: float,
 ) -> Float[Tensor, " k"]:
-    """Mean over the points of max(0, 1 − d²/truncation²), d the distance to the grid's cloud."""
+    """Mean over the points' area of max(0, 1 − d²/truncation²), d the distance to the grid's cloud.
+
+    Counting area, not points, keeps dense parts of one cloud from being laid on dense parts of the
+    other.
+    """
+    share = area / area.sum()
     scores = []
     for part in T_grid_points.split(_POSES_AT_ONCE):
         moved = points @ part[:, :3, :3].mT + part[:, None, :3, 3]
         difference, _ = grid.nearest(moved)
-        scores.append(_falloff(difference.square().sum(-1).sqrt_(), truncation).mean(-1))
+        scores.append(_falloff(difference.square().sum(-1).sqrt_(), truncation) @ share)
     return torch.cat(scores)
 
 

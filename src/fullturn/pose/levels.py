@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from fullturn.geometry.normals import estimate_normals
-from fullturn.geometry.sampling import point_spacing, voxel_sample
+from fullturn.geometry.sampling import local_area, point_spacing, voxel_sample
 
 # The voxel size is searched on at least this many times as many points as are wanted.
 _DENSE = 8
@@ -24,6 +24,7 @@ class Level:
 
     points: Float[Tensor, "n 3"]
     normals: Float[Tensor, "n 3"]  # away from the cloud's mean
+    area: Float[Tensor, " n"]  # that each point stands for, 1 on average
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +64,7 @@ def level_pair(
         normals = estimate_normals(
             fine, k=min(normal_neighbors, len(fine)), queries=points, orientation="centroid"
         ).normals
-        levels.append(Level(points.float(), normals.float()))
+        levels.append(Level(points.float(), normals.float(), local_area(points).float()))
     spacing = max(point_spacing(source), point_spacing(target))
     return LevelPair(levels[0], levels[1], spacing)
 

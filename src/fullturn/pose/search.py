@@ -93,7 +93,8 @@ def _hypothesize(pair: LevelPair, config: SearchConfig, clock: _Clock) -> Tensor
     h, source, target = pair.spacing, pair.source, pair.target
     radius = config.descriptor_radius * h
     descriptors = [
-        surface_histogram(level.points, level.normals, radius=radius) for level in (source, target)
+        surface_histogram(level.points, level.normals, level.area, radius=radius)
+        for level in (source, target)
     ]
     clock.lap("describe")
     matches = candidate_matches(*descriptors, limit=config.match_limit)
@@ -117,7 +118,9 @@ def _refine_on_grids(pair: LevelPair, T: Tensor, config: SearchConfig, clock: _C
         NearestGrid(level.points, level.normals, cell=0.75 * h, band=3 * h)
         for level in (pair.source, pair.target)
     ]
-    scores = hypotheses.score_poses(source[::4], grids[1], T, truncation=2 * h)
+    scores = hypotheses.score_poses(
+        source[::4], pair.source.area[::4], grids[1], T, truncation=2 * h
+    )
     coordinates = hypotheses.pose_coordinates(T, source)
     kept = hypotheses.distinct(
         coordinates, scores, radius=config.mode_radius * h, limit=config.modes
@@ -130,7 +133,7 @@ def _refine_on_grids(pair: LevelPair, T: Tensor, config: SearchConfig, clock: _C
         *grids,
         scales=(3 * h,) * 3 + (2.5 * h,) * 3 + (2 * h,) * 3,
     )
-    both = _two_sided(source, target, grids, T, truncation=1.5 * h)
+    both = _two_sided(pair, grids, T, truncation=1.5 * h)
     kept = hypotheses.distinct(
         hypotheses.pose_coordinates(T, source), both, radius=h, limit=config.finalists
     )
@@ -151,10 +154,13 @@ def _polish(pair: LevelPair, T: Tensor) -> Tensor:
 
 
 def _two_sided(
-    source: Tensor, target: Tensor, grids: list[NearestGrid], T: Tensor, *, truncation: float
+    pair: LevelPair, grids: list[NearestGrid], T: Tensor, *, truncation: float
 ) -> Tensor:
-    forward = hypotheses.score_poses(source, grids[1], T, truncation=truncation)
-    back = hypotheses.score_poses(target, grids[0], rigid.invert(T), truncation=truncation)
+    source, target = pair.source, pair.target
+    forward = hypotheses.score_poses(source.points, source.area, grids[1], T, truncation=truncation)
+    back = hypotheses.score_poses(
+        target.points, target.area, grids[0], rigid.invert(T), truncation=truncation
+    )
     return forward + back
 
 

@@ -52,6 +52,7 @@ class Surface:
 
     points: Float[Tensor, "n 3"]
     normals: Float[Tensor, "n 3"]
+    area: Float[Tensor, " n"]  # that each point stands for, 1 on average: all means count it
     smooth: Float[Tensor, "n 3"]  # moved along the normal into the mean plane of the neighbors
     interior: Bool[Tensor, " n"]  # False on the rim of a partial cloud
     index: NeighborIndex
@@ -77,7 +78,7 @@ def prepare_surface(
     image = None
     if viewpoint is not None:
         image = DepthImage(points, viewpoint.to(points.dtype), spacing=spacing)
-    return Surface(points, normals, smooth, interior, index, image)
+    return Surface(points, normals, level.area, smooth, interior, index, image)
 
 
 def measure(
@@ -87,8 +88,12 @@ def measure(
     R, t = T_target_source[:, :3, :3], T_target_source[:, None, :3, 3]
     there = source.points @ R.mT + t
     back = (target.points - t) @ R
-    forward = _one_side(there, source.smooth @ R.mT + t, source.normals @ R.mT, target, spacing)
-    backward = _one_side(back, (target.smooth - t) @ R, target.normals @ R, source, spacing)
+    forward = _one_side(
+        there, source.smooth @ R.mT + t, source.normals @ R.mT, source.area, target, spacing
+    )
+    backward = _one_side(
+        back, (target.smooth - t) @ R, target.normals @ R, target.area, source, spacing
+    )
     sided = [_RAW.index(name) for name in _SIDED]
     seen = torch.zeros_like(forward[:, :3])
     for image, points in ((target.image, there), (source.image, back)):
@@ -105,6 +110,7 @@ def _one_side(
     points: Float[Tensor, "k n 3"],
     smooth: Float[Tensor, "k n 3"],
     normals: Float[Tensor, "k n 3"],
+    area: Float[Tensor, " n"],
     other: Surface,
     h: float,
 ) -> Float[Tensor, "k f"]:
@@ -119,16 +125,17 @@ def _one_side(
     smooth_height = ((smooth - other.smooth[partner]) * partner_normals).sum(-1).abs() / h
     cosine = (normals * partner_normals).sum(-1).abs()
     d = distance / h
+    weight = area / area.sum()
     near = (d < 1.5).to(d.dtype)
-    count = near.sum(-1).clamp_min(1)
+    near_total = (near @ weight).clamp_min(1.0 / len(area))
 
     def near_mean(value: Tensor) -> Tensor:
-        return (value * near).sum(-1) / count
+        return (value * near) @ weight / near_total
 
     def share(mask: Tensor) -> Tensor:
-        return mask.to(d.dtype).mean(-1)
+        return mask.to(d.dtype) @ weight
 
-    logarithmic = [d.clamp_max(cap).square().mean(-1) for cap in (0.5, 1.0, 2.0)]
+    logarithmic = [d.clamp_max(cap).square() @ weight for cap in (0.5, 1.0, 2.0)]
     logarithmic.append(near_mean((height / h).clamp_max(1).square()))
     logarithmic += [near_mean(smooth_height.clamp_max(cap).square()) for cap in (0.15, 0.5, 1.0)]
     # Over the inside, not beyond the rim, and above it rather than beside it: a surface should
