@@ -8,9 +8,9 @@ import pytest
 from jaxtyping import config, install_import_hook
 
 ROOMS = (
-    "geometry", "features", "matching", "pose", "methods.consensus", "methods.classical", "normalize",
-    "data", "evaluation",
-)  # fmt: skip
+    *("geometry", "features", "matching", "pose", "normalize", "data", "evaluation"),
+    *("methods.consensus", "methods.classical"),
+)
 
 # The front door, the files and the command line answer wrong types themselves, by named errors.
 install_import_hook([f"fullturn.{room}" for room in ROOMS], "type_checks.checked")

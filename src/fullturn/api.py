@@ -16,6 +16,7 @@ from fullturn.methods.registry import get, methods
 from fullturn.normalize import normalization_of
 from fullturn.pose.explain import explain, pose_overlap
 from fullturn.result import Alternative, Registration, Symmetry
+from fullturn.threads import one_thread
 
 if TYPE_CHECKING:
     from fullturn.pose.symmetry import CloudSymmetry
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 __all__ = ["RegistrationInterrupted", "methods", "register", "register_many"]
 
 
+@one_thread()
 def register(
     source: Any,
     target: Any,

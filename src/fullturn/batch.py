@@ -40,8 +40,8 @@ def register_many(
 ) -> list[Outcome]:
     """Register every (source, target) pair; a pair that fails becomes its error in the list.
 
-    The results are those of `register(source, target, method=method, seed=seed)` with one torch
-    thread, bit for bit, for any number of workers. `workers` defaults to the number of CPUs;
+    The results are those of `register(source, target, method=method, seed=seed)`, bit for bit, for
+    any number of workers. `workers` defaults to the number of CPUs;
     1 stays in this process. Workers start afresh ("spawn"): a script calls this from under
     ``if __name__ == "__main__":``.
 
@@ -80,16 +80,9 @@ def _run_here(
     count: int,
     advance: Callable[[], None],
 ) -> None:
-    import torch
-
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        for index, pair in enumerate(todo):
-            results[index] = _outcome(pair, options)
-            advance()
-    finally:
-        torch.set_num_threads(threads)
+    for index, pair in enumerate(todo):
+        results[index] = _outcome(pair, options)
+        advance()
 
 
 def _run_workers(
@@ -202,9 +195,6 @@ def _work(pipe: Connection, options: dict[str, Any]) -> None:
 
     # Ctrl-C reaches the whole group; the parent decides what becomes of its workers.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    import torch
-
-    torch.set_num_threads(1)
     pipe.send("ready")
     while True:
         try:

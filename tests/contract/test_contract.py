@@ -124,12 +124,7 @@ def test_6_the_unit_is_nothing(
 def test_7_a_batch_equals_the_loop(method: str, pair: tuple[np.ndarray, ...]) -> None:
     source, target, _ = pair
     pairs = [(source, target), (source[:2], target), (target, source), (source[::2], target)]
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        loop = [register(*pairs[i], method=method) for i in (0, 2, 3)]
-    finally:
-        torch.set_num_threads(threads)
+    loop = [register(*pairs[i], method=method) for i in (0, 2, 3)]
     for workers in (1, 2):
         batch = register_many(pairs, method=method, workers=workers)
         assert isinstance(batch.pop(1), InputError)
@@ -168,6 +163,14 @@ def test_9_the_same_seed_gives_the_same_bytes(method: str, pair: tuple[np.ndarra
     source, target, _ = pair
     first, second = (register(source, target, method=method, seed=5) for _ in range(2))
     assert fingerprint(first) == fingerprint(second)
+    threads = torch.get_num_threads()
+    torch.set_num_threads(threads + 1)
+    try:
+        third = register(source, target, method=method, seed=5)
+        assert torch.get_num_threads() == threads + 1
+    finally:
+        torch.set_num_threads(threads)
+    assert fingerprint(first) == fingerprint(third)
 
 
 @pytest.mark.parametrize("method", METHODS)
