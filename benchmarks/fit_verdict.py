@@ -201,6 +201,7 @@ def fit(args: argparse.Namespace) -> None:
     print(scores)
     tensors = {key: value.contiguous() for key, value in dataclasses.asdict(final).items()}
     save_file(tensors, args.weights, metadata={"features": json.dumps(FEATURES)})
+    args.weights.chmod(0o644)
     args.weights.with_suffix(".md").write_text(CARD.format(count=len(table.kind), scores=scores))
     print("wrote", args.weights)
 

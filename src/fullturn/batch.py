@@ -41,9 +41,8 @@ def register_many(
     """Register every (source, target) pair; a pair that fails becomes its error in the list.
 
     The results are those of `register(source, target, method=method, seed=seed)`, bit for bit, for
-    any number of workers. `workers` defaults to the number of CPUs;
-    1 stays in this process. Workers start afresh ("spawn"): a script calls this from under
-    ``if __name__ == "__main__":``.
+    any number of workers. `workers` defaults to the number of CPUs; 1 stays in this process.
+    Workers start afresh ("spawn"): a script calls this from under ``if __name__ == "__main__":``.
 
     Raises:
         InputError: `pairs`, `method`, `seed` or `workers` cannot be used at all.
