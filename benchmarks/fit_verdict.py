@@ -1,6 +1,7 @@
 """Fit the verdict: which finalist is right, and is any of them?
 
     python benchmarks/fit_verdict.py collect --out runs/verdict --count 4000 [--data DIR]
+    python benchmarks/fit_verdict.py collect --out runs/verdict --dense --first 4000 --count 4800 …
     python benchmarks/fit_verdict.py fit --out runs/verdict
 
 `collect` makes pairs of many kinds (one sampling or two, noise or none, half-space and plane crops,
@@ -91,13 +92,14 @@ def collect(args: argparse.Namespace) -> None:
         )
     args.out.mkdir(parents=True, exist_ok=True)
     for first in range(args.first, args.count, args.shard):
-        path = args.out / f"finalists-{first:06d}.pt"
+        kind = "dense" if args.dense else "finalists"
+        path = args.out / f"{kind}-{first:06d}.pt"
         if path.exists():
             continue
         rows = []
         for number in range(first, min(first + args.shard, args.count)):
             try:
-                mixed = mixed_pair(shapes, seed=args.seed, number=number)
+                mixed = mixed_pair(shapes, seed=args.seed, number=number, dense=args.dense)
                 source, target, T_true = normalized(mixed.pair, viewpoints=number % 2 == 0)
                 found = find_finalists(source, target)
             except FullturnError as error:
@@ -236,6 +238,7 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=4000, help="pairs to collect")
     parser.add_argument("--first", type=int, default=0, help="number of the first pair")
     parser.add_argument("--shard", type=int, default=50, help="pairs a file")
+    parser.add_argument("--dense", action="store_true", help="clouds of 5,000 points and more")
     parser.add_argument("--seed", type=int, default=20)
     parser.add_argument("--data", default=os.environ.get("FULLTURN_DATA"), help="mesh packs")
     parser.add_argument("--hidden", type=int, default=16)

@@ -7,11 +7,11 @@ import math
 import numpy as np
 import pytest
 import torch
-from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from fullturn.features.surface import surface_histogram
+from fullturn.geometry.sampling import local_area
 
 RADIUS = 0.9
 
@@ -26,17 +26,21 @@ def bent_sheet(count: int, *, seed: int = 0) -> tuple[Tensor, Tensor]:
     return torch.from_numpy(points), torch.from_numpy(normals)
 
 
+def described(points: Tensor, normals: Tensor, *, radius: float, shells: int = 5) -> Tensor:
+    """The histograms with the area that the cloud itself gives."""
+    return surface_histogram(points, normals, local_area(points), radius=radius, shells=shells)
+
+
 def counted(
     points: np.ndarray,
     normals: np.ndarray,
+    area: np.ndarray,
     *,
     radius: float,
     shells: int = 5,
     bins: int = 5,
 ) -> np.ndarray:
     """The definition, pair by pair, with np.interp as the linear membership."""
-    reach = cKDTree(points).query(points, k=16)[0][:, -1] ** 2
-    area = np.clip(reach / np.quantile(reach, 0.5, method="lower"), 0.1, 10.0)
     rows = []
     for i, (p, n) in enumerate(zip(points, normals, strict=True)):
         table = np.zeros((shells, 3, bins))
@@ -61,8 +65,11 @@ def soft(value: np.floating | float, bins: int) -> np.ndarray:
 @pytest.mark.parametrize(("shells", "bins"), [(5, 5), (3, 4), (1, 2)])
 def test_agrees_with_counting_by_hand(shells: int, bins: int) -> None:
     points, normals = bent_sheet(70)
-    found = surface_histogram(points, normals, radius=RADIUS, shells=shells, bins=bins)
-    expected = counted(points.numpy(), normals.numpy(), radius=RADIUS, shells=shells, bins=bins)
+    area = torch.from_numpy(np.random.default_rng(5).uniform(0.1, 10, 70))
+    found = surface_histogram(points, normals, area, radius=RADIUS, shells=shells, bins=bins)
+    expected = counted(
+        points.numpy(), normals.numpy(), area.numpy(), radius=RADIUS, shells=shells, bins=bins
+    )
     np.testing.assert_allclose(found.numpy(), expected, atol=1e-9)
 
 
@@ -71,56 +78,58 @@ def test_agrees_with_counting_by_hand(shells: int, bins: int) -> None:
 @pytest.mark.parametrize("angle_deg", [0.0, 1e-4, 73.0, 180.0])
 def test_no_motion_scale_or_sign_changes_it(scale: float, offset: float, angle_deg: float) -> None:
     points, normals = bent_sheet(90)
-    expected = surface_histogram(points, normals, radius=RADIUS)
+    expected = described(points, normals, radius=RADIUS)
     rng = np.random.default_rng(1)
     axis = rng.normal(size=3)
     R = Rotation.from_rotvec(np.radians(angle_deg) * axis / np.linalg.norm(axis)).as_matrix()
     signs = torch.from_numpy(rng.choice([-1.0, 1.0], (90, 1)))
     turn = torch.from_numpy(R)
     moved = (points @ turn.T) * scale + offset * scale
-    found = surface_histogram(moved, normals @ turn.T * signs, radius=RADIUS * scale)
+    found = described(moved, normals @ turn.T * signs, radius=RADIUS * scale)
     torch.testing.assert_close(found, expected, atol=1e-5 if offset else 1e-7, rtol=0)
 
 
 def test_rows_have_unit_length_and_follow_the_points() -> None:
     points, normals = bent_sheet(90)
-    rows = surface_histogram(points, normals, radius=RADIUS)
+    rows = described(points, normals, radius=RADIUS)
     torch.testing.assert_close(rows.norm(dim=1), torch.ones(90).double())
     order = torch.from_numpy(np.random.default_rng(2).permutation(90))
-    torch.testing.assert_close(
-        surface_histogram(points[order], normals[order], radius=RADIUS), rows[order]
-    )
+    torch.testing.assert_close(described(points[order], normals[order], radius=RADIUS), rows[order])
 
 
 def test_density_matters_little() -> None:
     points, normals = bent_sheet(900)
-    rows = surface_histogram(points, normals, radius=RADIUS)
+    rows = described(points, normals, radius=RADIUS)
     rng = np.random.default_rng(6)
     kept = torch.from_numpy((points[:, 0].numpy() < 0) | (rng.random(900) < 0.2))
-    thinned = surface_histogram(points[kept], normals[kept], radius=RADIUS)
+    thinned = described(points[kept], normals[kept], radius=RADIUS)
     similarity = (rows[kept] * thinned).sum(1)
     assert float(similarity.min()) > 0.95
     assert float(similarity.median()) > 0.985
+    even = torch.ones(900).double()
+    unweighted = surface_histogram(points, normals, even, radius=RADIUS)[kept]
+    unweighted_thinned = surface_histogram(points[kept], normals[kept], even[kept], radius=RADIUS)
+    assert float(similarity.mean()) > float((unweighted * unweighted_thinned).sum(1).mean())
 
 
 def test_single_precision_agrees_with_double() -> None:
     points, normals = bent_sheet(200)
-    found = surface_histogram(points.float(), normals.float(), radius=RADIUS)
+    found = described(points.float(), normals.float(), radius=RADIUS)
     assert found.dtype == torch.float32
-    expected = surface_histogram(points, normals, radius=RADIUS)
+    expected = described(points, normals, radius=RADIUS)
     assert float((found.double() - expected).norm(dim=1).max()) < 2e-3
 
 
 def test_small_noise_moves_it_little_and_another_surface_far() -> None:
     points, normals = bent_sheet(300)
-    rows = surface_histogram(points, normals, radius=RADIUS)
+    rows = described(points, normals, radius=RADIUS)
     noise = torch.from_numpy(np.random.default_rng(3).normal(0, 1e-3, (300, 3)))
-    shaken = surface_histogram(points + noise, normals, radius=RADIUS)
+    shaken = described(points + noise, normals, radius=RADIUS)
     own = (rows * shaken).sum(1)
     assert float(own.min()) > 0.995
     flat = points * torch.tensor([1.0, 1.0, 0.0])
     up = torch.tensor([0.0, 0.0, 1.0]).double().expand(300, 3)
-    assert float((rows * surface_histogram(flat, up, radius=RADIUS)).sum(1).median()) < 0.98
+    assert float((rows * described(flat, up, radius=RADIUS)).sum(1).median()) < 0.98
     assert float(own.median()) > 0.999
 
 
@@ -128,14 +137,14 @@ def test_duplicates_and_lonely_points_give_finite_rows() -> None:
     points, normals = bent_sheet(200)
     lonely = torch.tensor([[50.0, 0, 0], [0, 50.0, 0]]).double()
     twice = torch.cat([points, points, lonely])
-    rows = surface_histogram(twice, torch.cat([normals, normals, normals[:2]]), radius=RADIUS)
+    rows = described(twice, torch.cat([normals, normals, normals[:2]]), radius=RADIUS)
     assert bool(torch.isfinite(rows).all())
     assert float(rows[-2:].norm()) == 0.0
     # Copies double every count but that of the point itself.
-    expected = surface_histogram(points, normals, radius=RADIUS)
+    expected = described(points, normals, radius=RADIUS)
     assert float((rows[:200] * expected).sum(1).min()) > 0.98
     many = points[:10].repeat(40, 1)
-    found = surface_histogram(many, normals[:10].repeat(40, 1), radius=RADIUS)
+    found = described(many, normals[:10].repeat(40, 1), radius=RADIUS)
     assert bool(torch.isfinite(found).all())
 
 
@@ -143,10 +152,10 @@ def test_a_plane_fills_the_bins_of_right_angles() -> None:
     rng = np.random.default_rng(4)
     flat = torch.from_numpy(rng.uniform(-1, 1, (200, 3))) * torch.tensor([1.0, 1.0, 0.0])
     up = torch.tensor([0.0, 0.0, 1.0]).double().expand(200, 3)
-    share = surface_histogram(flat, up, radius=0.5).square().view(200, 5, 3, 5).sum(1)
+    share = described(flat, up, radius=0.5).square().view(200, 5, 3, 5).sum(1)
     expected = torch.zeros(3, 5).double()
     expected[0, 0] = expected[1, 0] = expected[2, 4] = 1 / 3
     torch.testing.assert_close(share, expected.expand(200, 3, 5), atol=1e-9, rtol=0)
     # Of uniform points within r, the share closer than x is (x/r)².
-    near = surface_histogram(flat, up, radius=0.5, shells=2).square()
+    near = described(flat, up, radius=0.5, shells=2).square()
     assert math.isclose(float(near.view(200, 2, 15)[:, 0].sum(1).mean()), 1 / 3, abs_tol=0.05)

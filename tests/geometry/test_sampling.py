@@ -5,10 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
 
 from fullturn.errors import InputError
 from fullturn.geometry import sampling
-from fullturn.geometry.sampling import farthest_point_sample, point_spacing, voxel_sample
+from fullturn.geometry.sampling import (
+    farthest_point_sample,
+    local_area,
+    point_spacing,
+    voxel_sample,
+)
 
 
 def cloud(n: int = 300, *, seed: int = 0) -> torch.Tensor:
@@ -152,3 +158,35 @@ def test_spacing_of_a_large_cloud_needs_few_queries() -> None:
 def test_spacing_needs_two_distinct_points(points: torch.Tensor) -> None:
     with pytest.raises(InputError, match="two distinct points"):
         point_spacing(points)
+
+
+def test_local_area_follows_density_and_no_motion_or_scale_changes_it() -> None:
+    rng = np.random.default_rng(2)
+    points = torch.from_numpy(rng.uniform(0, 1, (5000, 3))) * torch.tensor([1.0, 1.0, 0.0])
+    dense = torch.arange(5000) < 4000
+    points[dense, 0] -= 1
+    area = local_area(points)
+    assert float(area.mean()) == pytest.approx(1.0, rel=1e-12)
+    # Away from the rim and from the seam, where the neighbors lie on all sides.
+    x, y = points[:, 0], points[:, 1]
+    inside = (x.abs() > 0.15) & (x.abs() < 0.85) & (y > 0.15) & (y < 0.85)
+    ratio = area[inside & dense].mean() / area[inside & ~dense].mean()
+    assert float(ratio) == pytest.approx(0.25, rel=0.1)
+    turn = torch.from_numpy(Rotation.random(random_state=3).as_matrix())
+    for scale in (1e-3, 1.0, 1e3):
+        moved = (points @ turn.T + 2.0) * scale
+        torch.testing.assert_close(local_area(moved), area, rtol=1e-9, atol=0)
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
+def test_local_area_by_definition(scale: float) -> None:
+    points = cloud(400) * scale
+    reach = np.sort(torch.cdist(points, points).numpy(), axis=1)[:, 15] ** 2
+    expected = np.clip(reach / np.quantile(reach, 0.5, method="lower"), 0.1, 10.0)
+    assert (expected == 10.0).any()
+    np.testing.assert_allclose(local_area(points).numpy(), expected / expected.mean(), rtol=1e-6)
+
+
+@pytest.mark.parametrize("points", [cloud(0), cloud(1), cloud(2), torch.zeros(5, 3).double()])
+def test_local_area_of_few_or_equal_points_is_even(points: torch.Tensor) -> None:
+    torch.testing.assert_close(local_area(points), torch.ones(len(points)).double())

@@ -123,11 +123,13 @@ def test_scores_agree_with_brute_force(count: int) -> None:
     some, _ = teapot(120, 7)
     T = random_motions(count, seed=8, angle_deg=40.0, length=0.1)
     T[0] = torch.eye(4)
-    scores = score_poses(some, grid, T, truncation=truncation)
+    area = torch.from_numpy(np.random.default_rng(12).uniform(0.1, 10, len(some)))
+    scores = score_poses(some, area.to(some), grid, T, truncation=truncation)
     tree = cKDTree(points.numpy())
     for pose, score in zip(T[:20], scores, strict=False):
         distance, _ = tree.query(rigid.apply(pose, some).numpy())
-        expected = np.clip(1 - (distance / truncation) ** 2, 0, None).mean()
+        share = np.clip(1 - (distance / truncation) ** 2, 0, None)
+        expected = np.average(share, weights=area.numpy())
         # A point found in place of the nearest is farther, never nearer.
         assert -0.06 < float(score) - expected < 1e-9
     assert int(scores.argmax()) == 0

@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from fullturn.geometry import rigid
+from fullturn.geometry.sampling import local_area
 from fullturn.pose.levels import Level
 from fullturn.pose.verify import FEATURES, Surface, measure, prepare_surface
 
@@ -40,13 +41,12 @@ def surface(
     if T is not None:
         points, normals = rigid.apply(T, points), normals @ T[:3, :3].mT
         viewpoint = None if viewpoint is None else rigid.apply(T, viewpoint[None])[0]
-    return prepare_surface(
-        Level(points, -normals if reverse else normals), spacing=H, viewpoint=viewpoint
-    )
+    level = Level(points, -normals if reverse else normals, local_area(points))
+    return prepare_surface(level, spacing=H, viewpoint=viewpoint)
 
 
 def one_side(T: np.ndarray, moving: Surface, fixed: Surface) -> dict[str, float]:
-    """The features of one direction, from the definitions."""
+    """The features of one direction, from the definitions: every mean counts area."""
     R, t = T[:3, :3], T[:3, 3]
     points, smooth = moving.points.numpy() @ R.T + t, moving.smooth.numpy() @ R.T + t
     normals = moving.normals.numpy() @ R.T
@@ -57,28 +57,32 @@ def one_side(T: np.ndarray, moving: Surface, fixed: Surface) -> dict[str, float]
     smooth_height = np.abs(((smooth - fixed.smooth.numpy()[partner]) * other).sum(1)) / H
     cosine = np.abs((normals * other).sum(1))
     near = d < 1.5
+    area = moving.area.numpy()
 
     def log(value: float) -> float:
         return math.log(value + 1e-6)
 
+    def mean(value: np.ndarray) -> float:
+        return float(np.average(value, weights=area))
+
     def near_mean(value: np.ndarray) -> float:
-        return float(value[near].mean()) if near.any() else 0.0
+        return float(np.average(value[near], weights=area[near])) if near.any() else 0.0
 
     found = {
-        f"distance_{name}": log((np.minimum(d, cap) ** 2).mean())
+        f"distance_{name}": log(mean(np.minimum(d, cap) ** 2))
         for name, cap in (("half", 0.5), ("one", 1.0), ("two", 2.0))
     }
     found["plane"] = log(near_mean(np.minimum(height / H, 1) ** 2))
     for name, cap in (("tight", 0.15), ("half", 0.5), ("one", 1.0)):
         found[f"smooth_{name}"] = log(near_mean(np.minimum(smooth_height, cap) ** 2))
     found["normals"] = near_mean(1 - cosine)
-    found["overlap"] = near.mean()
-    found["overlap_tight"] = ((d < 1) & (smooth_height < 0.2)).mean()
-    found["split"] = (near & (smooth_height > 0.5)).mean()
+    found["overlap"] = mean(near)
+    found["overlap_tight"] = mean((d < 1) & (smooth_height < 0.2))
+    found["split"] = mean(near & (smooth_height > 0.5))
     hangs = fixed.interior.numpy()[partner] & (height > 0.5 * distance) & (d > 1.5)
     edges = {"low": (0.0, 0.05), "middle": (0.05, 0.1), "high": (0.1, 0.25)}
     for name, (low, high) in edges.items():
-        found[f"conflict_{name}"] = (hangs & (distance > low) & (distance <= high)).mean()
+        found[f"conflict_{name}"] = mean(hangs & (distance > low) & (distance <= high))
     return found
 
 
@@ -156,7 +160,7 @@ def test_the_rim_is_known() -> None:
     line = torch.arange(-1, 1.001, 0.05).double()
     sheet = torch.cartesian_prod(line, line, torch.zeros(1).double())
     up = torch.tensor([0.0, 0, 1]).double().expand(len(sheet), 3)
-    found = prepare_surface(Level(sheet, up), spacing=0.05, viewpoint=None)
+    found = prepare_surface(Level(sheet, up, local_area(sheet)), spacing=0.05, viewpoint=None)
     outermost = sheet.abs().amax(1)
     assert not bool(found.interior[outermost > 0.99].any())
     assert bool(found.interior[outermost < 0.9].all())
@@ -167,7 +171,7 @@ def test_smoothing_takes_noise_off_a_plane_and_leaves_its_outline() -> None:
     points = torch.from_numpy(rng.uniform(-1, 1, (1500, 3)))
     points[:, 2] = torch.from_numpy(rng.normal(0, 0.01, 1500))
     up = torch.tensor([0.0, 0, 1]).double().expand(1500, 3)
-    found = prepare_surface(Level(points, up), spacing=H, viewpoint=None)
+    found = prepare_surface(Level(points, up, local_area(points)), spacing=H, viewpoint=None)
     assert float(found.smooth[:, 2].std()) < 0.45 * float(points[:, 2].std())
     torch.testing.assert_close(found.smooth[:, :2], points[:, :2])
 
@@ -184,6 +188,7 @@ def test_poses_far_apart_are_finite_and_have_no_overlap() -> None:
 @pytest.mark.parametrize("count", [3, 5])
 def test_a_handful_of_points(count: int) -> None:
     points, normals = teapot(count)
-    few = prepare_surface(Level(points, normals), spacing=H, viewpoint=None)
+    level = Level(points, normals, local_area(points))
+    few = prepare_surface(level, spacing=H, viewpoint=None)
     assert bool(torch.isfinite(few.smooth).all())
     assert bool(torch.isfinite(measure(random_motions(2), few, few, spacing=H)).all())

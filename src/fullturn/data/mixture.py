@@ -38,30 +38,33 @@ class MixedPair:
     shape: str
 
 
-def mixed_pair(shapes: Sequence[MeshSource], *, seed: int, number: int) -> MixedPair:
+def mixed_pair(
+    shapes: Sequence[MeshSource], *, seed: int, number: int, dense: bool = False
+) -> MixedPair:
     """Pair `number` of a mixture that depends on (seed, number) and the shapes alone.
 
     One sampling or two, noise or none, half-space and plane crops, virtual scans, from a dozen to
-    thousands of points, and two different shapes that don't belong together.
+    thousands of points, and two different shapes that don't belong together. `dense` clouds have
+    5,000 to 40,000 points (scans to 8,000), as scanners give.
     """
     rng = np.random.default_rng([seed, number])
     source = shapes[int(rng.integers(len(shapes)))]
     index = int(rng.integers(len(source)))
     kind = str(rng.choice(list(KINDS), p=list(KINDS.values())))
     if kind != "unrelated":
-        return MixedPair(_draw(source, index, kind, rng), kind, source.name(index))
+        return MixedPair(_draw(source, index, kind, rng, dense), kind, source.name(index))
     kinds = [k for k in KINDS if k != "unrelated"]
-    first = _draw(source, index, str(rng.choice(kinds)), rng)
+    first = _draw(source, index, str(rng.choice(kinds)), rng, dense)
     other = (index + 1 + int(rng.integers(len(source) - 1))) % len(source)
-    second = _draw(source, other, str(rng.choice(kinds)), rng)
+    second = _draw(source, other, str(rng.choice(kinds)), rng, dense)
     unrelated = dataclasses.replace(
         first, target=second.target, target_viewpoint=second.target_viewpoint
     )
     return MixedPair(unrelated, kind, source.name(index))
 
 
-def _draw(source: MeshSource, index: int, kind: str, rng: np.random.Generator) -> Pair:
-    pair = _draw_even(source, index, kind, rng)
+def _draw(source: MeshSource, index: int, kind: str, rng: np.random.Generator, dense: bool) -> Pair:
+    pair = _draw_even(source, index, kind, rng, dense)
     if rng.random() >= _UNEVEN:
         return pair
     return dataclasses.replace(
@@ -80,15 +83,16 @@ def _uneven(points: Float[np.ndarray, "n 3"], rng: np.random.Generator) -> np.nd
     return points[kept] if kept.sum() >= _LEAST_POINTS else points
 
 
-def _draw_even(source: MeshSource, index: int, kind: str, rng: np.random.Generator) -> Pair:
+def _draw_even(
+    source: MeshSource, index: int, kind: str, rng: np.random.Generator, dense: bool
+) -> Pair:
+    many = int(np.exp(rng.uniform(np.log(5_000), np.log(40_000)))) if dense else 0
     if kind == "scan":
         mesh = to_unit_ball(source.raw_mesh(index))
         return scan_pair(
             mesh,
             rng,
-            points=int(rng.integers(500, 3000))
-            if rng.random() < 0.85
-            else int(rng.integers(60, 500)),
+            points=min(many, 8_000) or _scan_points(rng),
             min_overlap=float(rng.uniform(0.2, 0.7)),
             noise_sigma=float(rng.choice([0.0, 0.002, 0.005, 0.01])),
         )
@@ -102,11 +106,17 @@ def _draw_even(source: MeshSource, index: int, kind: str, rng: np.random.Generat
             noise_sigma=sigma if rng.random() < 0.8 else 0.0,
         )
     else:
-        points = int(rng.choice([few, 512, 1024, 1024, 1024, 2048, 4096]))
+        points = many or int(rng.choice([few, 512, 1024, 1024, 1024, 2048, 4096]))
         protocol = dataclasses.replace(
             PROTOCOLS[f"modelnet40/{kind}/180"],
             sample_points=points,
             cloud_points=points * 3 // 4,
             noise_sigma=sigma if kind.startswith("noisy") else 0.0,
         )
+    if dense and kind == "plane":
+        protocol = dataclasses.replace(protocol, sample_points=many, cloud_points=many // 3)
     return make_pair(protocol, source, index, rng=rng)
+
+
+def _scan_points(rng: np.random.Generator) -> int:
+    return int(rng.integers(500, 3000) if rng.random() < 0.85 else rng.integers(60, 500))
