@@ -15,10 +15,10 @@ FILES = sorted(SOURCE.rglob("*.py"))
 
 # A room imports itself, rooms to its left and the foundation.
 ORDER = ["geometry", "features", "matching", "pose", "methods"]
-ORDER += ["io", "data", "evaluation", "viz", "api", "cli"]
+ORDER += ["io", "data", "viz", "api", "evaluation", "cli"]
 FOUNDATION = {"__init__", "errors", "result"}
 # The front door is more than one file.
-PART_OF = {"batch": "api", "normalize": "api", "threads": "api"}
+PART_OF = dict.fromkeys(["batch", "normalize", "progress", "threads", "workers"], "api")
 # Rooms of which more is asked: all that they may import beside themselves and the foundation.
 ONLY = {"io": set[str](), "viz": {"io"}, "data": {"geometry", "io"}}
 

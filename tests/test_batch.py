@@ -142,7 +142,7 @@ def test_a_script_without_a_guard_is_told_so(tmp_path: Path) -> None:
     process = start(tmp_path / "script.py", text)
     _, err = process.communicate(timeout=60)
     assert process.returncode == 1
-    assert "worker processes cannot start: call register_many from under" in err
+    assert "worker processes cannot start: call this from under" in err
 
 
 KILLER = """

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import sys
 from importlib import import_module
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperCommand
 
 import fullturn
 from fullturn.cli.errors import INTERRUPTED, known_errors, tell
@@ -16,7 +17,27 @@ _VERBS = {
     "register": "fullturn.cli.register",
     "methods": "fullturn.cli.methods",
     "demo": "fullturn.cli.demo",
+    "evaluate": "fullturn.cli.evaluate",
+    "table": "fullturn.cli.table",
+    "study": "fullturn.cli.study",
+    "freeze": "fullturn.cli.freeze",
 }
+
+
+class _Command(TyperCommand):
+    """A command whose repeatable options take several values: ``--method a b`` says it twice."""
+
+    def parse_args(self, context: Any, arguments: list[str]) -> list[str]:
+        repeatable = {name for p in self.params if getattr(p, "multiple", False) for name in p.opts}
+        spread: list[str] = []
+        option = None  # the repeatable one that the next word may belong to
+        for word in arguments:
+            if word.startswith("-"):
+                option = word if word in repeatable else None
+            elif option is not None and spread[-1] != option:
+                spread.append(option)
+            spread.append(word)
+        return super().parse_args(context, spread)
 
 
 def build_app() -> typer.Typer:
@@ -30,7 +51,7 @@ def build_app() -> typer.Typer:
     )
     app.callback()(_options)
     for verb, module in _VERBS.items():
-        app.command(verb)(known_errors(getattr(import_module(module), verb)))
+        app.command(verb, cls=_Command)(known_errors(getattr(import_module(module), verb)))
     return app
 
 

@@ -110,9 +110,21 @@ def truncated_distance(
 ) -> float:
     """The mean of both one-sided means of min(nearest distance, truncation)."""
     moved = source @ pose[:3, :3].T + pose[:3, 3]
-    forth = np.minimum(cKDTree(target).query(moved)[0], truncation).mean()
-    back = np.minimum(cKDTree(moved).query(target)[0], truncation).mean()
-    return float(0.5 * (forth + back))
+    forth, back = (
+        # Beyond the bound the tree stops looking and says infinity.
+        np.minimum(cKDTree(there).query(here, distance_upper_bound=truncation)[0], truncation)
+        for here, there in ((moved, target), (target, moved))
+    )
+    return float(0.5 * (forth.mean() + back.mean()))
+
+
+def fit_distance(
+    pose: Float[np.ndarray, "4 4"],
+    source: Float[np.ndarray, "n 3"],
+    target: Float[np.ndarray, "m 3"],
+) -> float:
+    """How badly a pose explains two clouds: `truncated_distance` at 5 % of the source's radius."""
+    return truncated_distance(pose, source, target, truncation=SUCCESS_SHARE * radius(source))
 
 
 def geometric_success(
@@ -120,21 +132,21 @@ def geometric_success(
     true: Float[np.ndarray, "4 4"],
     source: Float[np.ndarray, "n 3"],
     target: Float[np.ndarray, "m 3"],
+    *,
+    fit_of_true: float | None = None,
 ) -> bool:
     """Whether the pose explains both clouds as well as the true one, or is within 5° of it.
 
-    As well: the two-sided distance, truncated at 5 % of the source's radius, is at most 1.05 times
-    that of the true pose. So a pose that a symmetry makes equal is a success.
+    As well: its `fit_distance` is at most 1.05 times that of the true pose (`fit_of_true`, where it
+    is known already). So a pose that a symmetry makes equal is a success.
     """
     if rotation_error_deg(found, true) < SUCCESS_ANGLE_DEG:
         return True
-    scale = radius(source)
-    of_found, of_true = (
-        truncated_distance(pose, source, target, truncation=SUCCESS_SHARE * scale)
-        for pose in (found, true)
-    )
+    if fit_of_true is None:
+        fit_of_true = fit_distance(true, source, target)
     # Exactly equal clouds have distance 0 but for rounding.
-    return bool(of_found <= 1.05 * of_true + 1e-9 * scale)
+    slack = 1e-9 * radius(source)
+    return fit_distance(found, source, target) <= 1.05 * fit_of_true + slack
 
 
 def recall(errors: Float[np.ndarray, "n"], threshold: float) -> float:

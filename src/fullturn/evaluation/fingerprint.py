@@ -1,0 +1,96 @@
+"""What a method's answers depend on besides the pair: its code, its weights, its packages."""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import importlib.util
+import sys
+from collections.abc import Iterator
+from functools import cache
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import fullturn
+from fullturn.methods.base import Method
+
+_PACKAGE = "fullturn"
+
+
+def fingerprint(method: type[Method]) -> tuple[str, dict[str, str]]:
+    """A hash of a method's code and versions, and the versions of the packages that it uses.
+
+    The code is the module of the class and, from there on, every module of the same package and of
+    fullturn that is imported, with fullturn's weights. What a package loads in other ways isn't
+    seen.
+    """
+    files, packages = _closure(method)
+    digest = hashlib.sha256(method.__qualname__.encode())
+    for path in sorted(files, key=lambda path: path.name):
+        digest.update(path.name.encode())
+        digest.update(path.read_bytes())
+    owners = _distributions()
+    versions = {
+        owner: metadata.version(owner)
+        for owner in sorted({o for package in packages for o in owners.get(package, ())})
+    }
+    digest.update(repr(versions).encode())
+    return digest.hexdigest(), versions
+
+
+def _closure(method: type[Method]) -> tuple[set[Path], set[str]]:
+    """The files that a method's module leads to, and the other packages that they import."""
+    module = sys.modules[method.__module__]
+    roots = {_PACKAGE, method.__module__.partition(".")[0]}
+    files = set(Path(fullturn.__file__).parent.glob("weights/*.safetensors"))
+    packages: set[str] = set()
+    waiting = [Path(str(module.__file__)), *_module_file(f"{_PACKAGE}.normalize")]
+    while waiting:
+        path = waiting.pop()
+        if path in files:
+            continue
+        files.add(path)
+        for name in _imports(ast.parse(path.read_bytes())):
+            top = name.partition(".")[0]
+            if top in roots:
+                waiting += _module_file(name)
+            elif top not in sys.stdlib_module_names:
+                packages.add(top)
+    return files, packages
+
+
+def _imports(tree: ast.AST) -> Iterator[str]:
+    """Every name that may be a module: ``from a import b`` gives a and a.b."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            yield node.module
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
+def _module_file(name: str) -> list[Path]:
+    try:
+        spec = importlib.util.find_spec(name)
+    except (ImportError, ValueError):
+        return []  # not a module, but something in one
+    if spec is None or spec.origin is None or not spec.origin.endswith(".py"):
+        return []
+    return [Path(spec.origin)]
+
+
+@cache
+def _distributions() -> dict[str, list[str]]:
+    return dict(metadata.packages_distributions())
+
+
+def describe(method: type[Method]) -> dict[str, Any]:
+    """What a run's summary says of a method."""
+    _, versions = fingerprint(method)
+    return {
+        "summary": method.summary,
+        "reference": method.reference,
+        "settings": dict(method.settings()),
+        "versions": versions,
+    }

@@ -1,0 +1,83 @@
+"""Predict: what one method answers to one pair, and what that cost."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from fullturn.data.pair import Pair
+from fullturn.io.atomic import one_line
+from fullturn.methods.check import checked_estimate
+from fullturn.methods.registry import get
+from fullturn.normalize import normalized_clouds
+from fullturn.threads import one_thread
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """A method's answer to a pair; the identity where it failed, and `error` then says why."""
+
+    T_target_source: Float[np.ndarray, "4 4"]
+    success_probability: float | None = None  # None: the method states none
+    alternatives: tuple[Float[np.ndarray, "4 4"], ...] = ()
+    error: str | None = None
+    cpu_seconds: float = 0.0  # of the estimate alone
+    wall_seconds: float = 0.0
+
+
+@dataclass
+class Predictor:
+    """Answers pairs with methods that it makes once; made to live in a worker process.
+
+    The first pair of each method is answered twice, so that imports and other first-call work are
+    in no pair's time.
+    """
+
+    seed: int = 0
+    _methods: dict[str, Any] = field(default_factory=dict, init=False)
+
+    def __call__(self, task: tuple[str, Pair]) -> Prediction:
+        method, pair = task
+        if method not in self._methods:
+            self._methods[method] = get(method)()
+            predict(self._methods[method], pair, seed=self.seed)
+        return predict(self._methods[method], pair, seed=self.seed)
+
+
+@one_thread()
+def predict(method: Any, pair: Pair, *, seed: int) -> Prediction:
+    """The pose that ``fullturn.register`` returns for this pair, without its explanation.
+
+    Whatever the method raises is a failure of this pair, as is an answer that is none.
+    """
+    source, target, frame = normalized_clouds(pair.source, pair.target)
+    cpu, wall = time.process_time(), time.perf_counter()
+    try:
+        estimate = checked_estimate(
+            method.estimate(source, target, rng=np.random.default_rng(seed)), method.name
+        )
+        failure = None
+    # A method is a guest: nothing that it raises may stop the others.
+    except Exception as error:
+        failure = f"{type(error).__name__}: {one_line(error)}"
+    cpu, wall = time.process_time() - cpu, time.perf_counter() - wall
+    if failure is not None:
+        return Prediction(np.eye(4), error=failure, cpu_seconds=cpu, wall_seconds=wall)
+    T, *others = (frame.denormalize(pose.numpy(force=True)) for pose in estimate.T_target_source)
+    stated = estimate.success_probability
+    probability = None if stated is None else float(stated[0])
+    return Prediction(T, probability, tuple(others), None, cpu, wall)
+
+
+def pair_hash(pair: Pair) -> str:
+    """A hash of all that a method sees of a pair: shapes and bytes of its clouds."""
+    digest = hashlib.sha256()
+    for points in (pair.source, pair.target):
+        digest.update(str(points.shape).encode())
+        digest.update(points.astype("<f8").tobytes())
+    return digest.hexdigest()

@@ -1,0 +1,245 @@
+"""Run: methods × sets of pairs → predictions from the cache or fresh, scores, a run folder."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+import platform
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import fullturn
+from fullturn.data.pair import Pair
+from fullturn.data.pair_set import PairSet
+from fullturn.data.provenance import working_tree_commit
+from fullturn.errors import FullturnError, InputError, WriteError
+from fullturn.evaluation.cache import PredictionCache
+from fullturn.evaluation.fingerprint import describe, fingerprint
+from fullturn.evaluation.predict import Prediction, Predictor, pair_hash
+from fullturn.evaluation.score import Score, ScoredPair, summarize
+from fullturn.io.atomic import write_atomic
+from fullturn.methods.registry import get
+from fullturn.workers import run_in_workers
+
+FORMAT = 1
+THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+def evaluate(
+    sets: Sequence[PairSet],
+    methods: Sequence[str],
+    *,
+    out: Path,
+    cache: Path,
+    seed: int = 0,
+    workers: int = 1,
+    advance: Callable[[int], None] = lambda count: None,
+    note: Callable[[str], None] = lambda text: None,
+) -> dict[str, Any]:
+    """Write the run folder `out` and return its summary. See docs/architecture.md.
+
+    `advance` is told of finished predictions, cached ones included, `note` of what a user should
+    know. An interrupted run keeps its predictions in `cache`.
+
+    Raises:
+        InputError: no set, no method, two of one name, an unknown method.
+        DependencyError: a method's package is missing.
+        WriteError: a folder cannot be written.
+    """
+    names = _checked_names(sets, methods)
+    try:
+        (out / "pairs").mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise WriteError(
+            f"cannot make the folder {out}: {error.strerror}; choose another one"
+        ) from error
+    summary: dict[str, Any] = {
+        "format": FORMAT,
+        "fullturn": fullturn.__version__,
+        "commit": working_tree_commit(),
+        "seed": seed,
+        "methods": {name: describe(get(method)) for name, method in names.items()},
+        "sets": {},
+    }
+    timing: dict[str, Any] = {"machine": _machine(), "sets": {}}
+    for pairs in sets:
+        numbered = list(pairs)
+        hashes = [pair_hash(pair) for pair in numbered]
+        answers = _predictions(
+            pairs.name, numbered, hashes, names, seed=seed, workers=workers, cache=cache,
+            advance=advance, note=note,
+        )  # fmt: skip
+        scored = [
+            ScoredPair(pair, index=index, group=pairs.group(index))
+            for index, pair in enumerate(numbered)
+        ]
+        rows = {
+            name: [pair.score(found) for pair, found in zip(scored, answers[name], strict=True)]
+            for name in names
+        }
+        summary["sets"][pairs.name] = {
+            "description": pairs.description,
+            "count": len(pairs),
+            **_summaries(rows, seed=seed),
+        }
+        timing["sets"][pairs.name] = {name: _times(found) for name, found in answers.items()}
+        write_atomic(out / "pairs" / f"{slug(pairs.name)}.csv", _csv(rows))
+    write_atomic(out / "summary.json", json.dumps(summary, indent=1) + "\n")
+    write_atomic(out / "timing.json", json.dumps(timing, indent=1) + "\n")
+    return summary
+
+
+def slug(name: str) -> str:
+    """A name as a file name.
+
+    >>> slug("modelnet40/clean/180")
+    'modelnet40-clean-180'
+    """
+    return "".join(c if c.isalnum() or c in "-_." else "-" for c in name)
+
+
+def _checked_names(sets: Sequence[PairSet], methods: Sequence[str]) -> dict[str, str]:
+    """What the tables call each method → what it was asked for as."""
+    if not sets or not methods:
+        raise InputError(
+            f"expected at least one set of pairs and one method, got {len(sets)} and {len(methods)}"
+        )
+    names: dict[str, str] = {}
+    for method in methods:
+        found = get(method)
+        found()  # says now, and not once per pair, that a package is missing
+        if found.name in names:
+            raise InputError(f"expected different methods, got {found.name} twice; drop one")
+        names[found.name] = method
+    if len({slug(pairs.name) for pairs in sets}) < len(sets):
+        raise InputError(
+            f"expected sets with different names, got {', '.join(p.name for p in sets)}; drop one"
+        )
+    return names
+
+
+def _predictions(
+    set_name: str,
+    pairs: Sequence[Pair],
+    hashes: Sequence[str],
+    methods: Mapping[str, str],
+    *,
+    seed: int,
+    workers: int,
+    cache: Path,
+    advance: Callable[[int], None],
+    note: Callable[[str], None],
+) -> dict[str, list[Prediction]]:
+    """Every method's answer to every pair; what the cache lacks is computed in workers."""
+    caches, tasks = {}, []
+    for name, method in methods.items():
+        code, _ = fingerprint(get(method))
+        caches[name] = store = PredictionCache(
+            cache / slug(set_name) / f"{slug(name)}-{code[:16]}-{seed}.jsonl"
+        )
+        if store.damaged:
+            note(
+                f"{store.damaged} damaged lines of {store.path} were dropped; their pairs are "
+                "predicted again"
+            )
+        lacking = {h: i for i, h in reversed(list(enumerate(hashes))) if h not in store.found}
+        tasks += [(name, index) for index in sorted(lacking.values())]
+        advance(len(pairs) - len(lacking))
+
+    def done(number: int, result: Prediction | FullturnError) -> None:
+        name, index = tasks[number]
+        if isinstance(result, FullturnError):
+            # The process died, perhaps of too little memory: a failure now, tried again next time.
+            caches[name].found[hashes[index]] = Prediction(np.eye(4), error=str(result))
+        else:
+            caches[name].add(hashes[index], result)
+        advance(1)
+
+    try:
+        if tasks:
+            with _one_thread_each():
+                run_in_workers(
+                    Predictor(seed),
+                    ((methods[name], pairs[index]) for name, index in tasks),
+                    workers=min(workers, len(tasks)),
+                    done=done,
+                )
+    finally:
+        for store in caches.values():
+            store.close()
+    return {name: [store.found[h] for h in hashes] for name, store in caches.items()}
+
+
+@contextmanager
+def _one_thread_each() -> Iterator[None]:
+    """Worker processes read these variables before they load their libraries."""
+    before = {variable: os.environ.get(variable) for variable in THREAD_VARIABLES}
+    os.environ.update(dict.fromkeys(THREAD_VARIABLES, "1"))
+    try:
+        yield
+    finally:
+        for variable, value in before.items():
+            if value is None:
+                del os.environ[variable]
+            else:
+                os.environ[variable] = value
+
+
+def _summaries(rows: Mapping[str, Sequence[Score]], *, seed: int) -> dict[str, Any]:
+    """Summaries by method, and by group and method where the set has groups."""
+    part: dict[str, Any] = {"methods": {n: summarize(r, seed=seed) for n, r in rows.items()}}
+    groups = sorted({row.group for scores in rows.values() for row in scores} - {""})
+    if groups:
+        part["groups"] = {
+            group: {
+                name: summarize([row for row in scores if row.group == group], seed=seed)
+                for name, scores in rows.items()
+            }
+            for group in groups
+        }
+    return part
+
+
+def _times(answers: Sequence[Prediction]) -> dict[str, float]:
+    cpu = np.array([answer.cpu_seconds for answer in answers])
+    wall = np.array([answer.wall_seconds for answer in answers])
+    return {
+        "cpu_seconds_mean": float(cpu.mean()),
+        "cpu_seconds_median": float(np.median(cpu)),
+        "cpu_seconds_p95": float(np.quantile(cpu, 0.95)),
+        "wall_seconds_median": float(np.median(wall)),
+    }
+
+
+def _csv(rows: Mapping[str, Sequence[Score]]) -> str:
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(["method", *(field.name for field in fields(Score))])
+    for name, scores in rows.items():
+        writer.writerows([name, *map(_cell, asdict(score).values())] for score in scores)
+    return stream.getvalue()
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return ""
+    if isinstance(value, bool):
+        return str(int(value))
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def _machine() -> dict[str, Any]:
+    processor = platform.processor()
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        processor = next(x.split(":", 1)[1].strip() for x in lines if x.startswith("model name"))
+    except (OSError, StopIteration):
+        pass
+    return {"python": platform.python_version(), "processor": processor, "threads": 1}

@@ -1,0 +1,142 @@
+"""Run a function on many tasks in worker processes; a process that dies costs one task."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+from collections.abc import Callable, Iterable
+from multiprocessing.connection import Connection, wait
+from typing import Any
+
+from fullturn.errors import FullturnError, InputError
+from fullturn.io.atomic import one_line
+
+_CANNOT_START = (
+    "worker processes cannot start: call this from under "
+    '`if __name__ == "__main__":`, or with workers=1'
+)
+
+
+def run_in_workers(
+    work: Callable[[Any], Any],
+    tasks: Iterable[Any],
+    *,
+    workers: int,
+    done: Callable[[int, Any], None],
+    portable: Callable[[Any], Any] = lambda task: task,
+) -> None:
+    """Call ``done(number, work(task))`` for every task, in the order in which they finish.
+
+    Each worker holds one task at a time and keeps `work` between tasks; it starts afresh ("spawn"),
+    so `work` and tasks must pickle. `portable` turns a task into one that does. A task whose
+    process dies, or that cannot be sent, gives a FullturnError in place of its result.
+
+    Raises:
+        FullturnError: worker processes cannot start.
+    """
+    crew: dict[Connection, _Worker] = {}
+    waiting = enumerate(tasks)
+
+    def feed(worker: _Worker) -> None:
+        for number, task in waiting:
+            try:
+                worker.give(number, portable(task))
+            except FullturnError as error:
+                done(number, error)
+            else:
+                return
+        crew.pop(worker.pipe).stop()
+
+    def hire() -> None:
+        worker = _Worker(work)
+        crew[worker.pipe] = worker
+
+    try:
+        for _ in range(workers):
+            hire()
+        while crew:
+            for pipe in wait(list(crew)):
+                worker = crew[pipe]  # type: ignore[index]
+                try:
+                    result = worker.pipe.recv()
+                except (EOFError, OSError):
+                    del crew[worker.pipe]
+                    worker.stop()
+                    if worker.number is None:
+                        raise FullturnError(_CANNOT_START) from None
+                    done(worker.number, worker.obituary())
+                    hire()
+                    continue
+                if worker.number is not None:
+                    done(worker.number, result)
+                feed(worker)
+    finally:
+        for worker in crew.values():
+            worker.stop()
+
+
+def check_workers(workers: Any) -> int:
+    """The number of worker processes; None: as many as there are CPUs for this process.
+
+    Raises:
+        InputError: not a whole number of at least 1.
+    """
+    if workers is None:
+        if hasattr(os, "sched_getaffinity"):
+            return len(os.sched_getaffinity(0))
+        return os.cpu_count() or 1
+    if isinstance(workers, bool) or int(workers) != workers or workers < 1:
+        raise InputError(f"workers: expected a whole number of at least 1, got {workers!r}")
+    return int(workers)
+
+
+class _Worker:
+    """One process that says it is ready, then answers one task after the other."""
+
+    def __init__(self, work: Callable[[Any], Any]) -> None:
+        context = multiprocessing.get_context("spawn")
+        self.number: int | None = None  # of the task at work
+        self.pipe, other = context.Pipe()
+        self.process = context.Process(target=_serve, args=(other, work), daemon=True)
+        try:
+            self.process.start()
+        except RuntimeError as error:  # this is itself a process that is still starting
+            raise FullturnError(_CANNOT_START) from error
+        other.close()
+
+    def give(self, number: int, task: Any) -> None:
+        try:
+            self.pipe.send(task)
+        except (BrokenPipeError, ConnectionError):
+            pass  # the worker died; reading from it says so
+        # Pickling an unknown object raises whatever that object raises.
+        except Exception as error:
+            raise InputError(
+                f"expected clouds that can be sent to a worker process, got one that cannot "
+                f"({one_line(error)[:120]}); give arrays or file paths"
+            ) from error
+        self.number = number
+
+    def obituary(self) -> FullturnError:
+        return FullturnError(
+            f"the worker process ended without an answer (exit code {self.process.exitcode}); "
+            "there may be too little memory for this pair: use fewer workers"
+        )
+
+    def stop(self) -> None:
+        self.pipe.close()
+        self.process.terminate()
+        self.process.join()
+
+
+def _serve(pipe: Connection, work: Callable[[Any], Any]) -> None:
+    # Ctrl-C reaches the whole group; the parent decides what becomes of its workers.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    pipe.send("ready")
+    while True:
+        try:
+            task = pipe.recv()
+        except EOFError:
+            return
+        pipe.send(work(task))

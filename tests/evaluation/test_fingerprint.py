@@ -1,0 +1,53 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import fullturn
+from fullturn.evaluation import fingerprint as module
+from fullturn.evaluation.fingerprint import _closure, fingerprint
+from fullturn.methods.registry import get
+
+OWN = """
+import numpy as np
+from fullturn.methods.base import Method
+
+class Own(Method):
+    name, summary, reference = "own", "nothing", "this test"
+    def estimate(self, source, target, *, rng):
+        return {answer}
+"""
+
+
+def own(path: Path, answer: str) -> str:
+    path.write_text(OWN.format(answer=answer))
+    return fingerprint(get(f"{path}:Own"))[0]
+
+
+def test_the_closure_is_what_the_answer_depends_on() -> None:
+    files, packages = _closure(get("consensus"))
+    names = {path.relative_to(Path(fullturn.__file__).parent).as_posix() for path in files}
+    assert {
+        "methods/consensus.py", "pose/search.py", "pose/verify.py", "geometry/neighbors.py",
+        "features/surface.py", "normalize.py", "weights/verdict.safetensors",
+    } <= names  # fmt: skip
+    assert not {name for name in names if name.startswith(("cli", "viz", "evaluation", "data"))}
+    assert "methods/classical/icp.py" not in names
+    assert {"torch", "numpy", "small_gicp"} <= packages
+
+
+def test_versions_are_named_and_count() -> None:
+    code, versions = fingerprint(get("icp-point"))
+    assert {"torch", "numpy"} <= set(versions)
+    assert fingerprint(get("icp-point"))[0] == code != fingerprint(get("icp-plane"))[0]
+
+
+def test_a_changed_package_is_another_method(monkeypatch) -> None:
+    code, _ = fingerprint(get("icp-point"))
+    monkeypatch.setattr(module.metadata, "version", lambda name: "0")
+    assert fingerprint(get("icp-point"))[0] != code
+
+
+def test_a_changed_file_is_another_method(tmp_path: Path) -> None:
+    first = own(tmp_path / "mine.py", "1")
+    assert own(tmp_path / "mine.py", "22") != first
+    assert own(tmp_path / "mine.py", "1") == first
