@@ -26,14 +26,14 @@ import torch
 from safetensors.torch import save_file
 from torch import Tensor
 
-from common import markdown_table
 from fullturn.data.mixture import KINDS, mixed_pair
 from fullturn.data.pair import Pair
 from fullturn.data.shapes import MeshPack, MeshSource, ProceduralShapes
 from fullturn.errors import FullturnError
+from fullturn.evaluation.layout import Table, markdown
 from fullturn.evaluation.metrics import expected_calibration_error
 from fullturn.geometry.cloud import Cloud
-from fullturn.normalize import normalization_of
+from fullturn.normalize import normalized_clouds
 from fullturn.pose.search import find_finalists
 from fullturn.pose.verdict import (
     VerdictWeights,
@@ -64,23 +64,12 @@ FREE_SOURCES = ("sweethome3d", "gazebo", "bullet_random")
 
 def normalized(pair: Pair, *, viewpoints: bool) -> tuple[Cloud, Cloud, Tensor]:
     """The two clouds as a method sees them, and the true pose between them."""
-    frame = normalization_of(pair.source, pair.target)
-
-    def cloud(points: np.ndarray, center: np.ndarray, viewpoint: np.ndarray | None) -> Cloud:
-        eye = None if viewpoint is None or not viewpoints else (viewpoint - center) / frame.length
-        return Cloud(
-            torch.from_numpy((points - center) / frame.length),
-            None if eye is None else torch.from_numpy(eye),
-        )
-
+    eyes = (pair.source_viewpoint, pair.target_viewpoint) if viewpoints else (None, None)
+    source, target, frame = normalized_clouds(pair.source, pair.target, *eyes)
     T = torch.from_numpy(pair.T_target_source.copy())
     c, d = torch.from_numpy(frame.source_center), torch.from_numpy(frame.target_center)
     T[:3, 3] = (T[:3, :3] @ c + T[:3, 3] - d) / frame.length
-    return (
-        cloud(pair.source, frame.source_center, pair.source_viewpoint),
-        cloud(pair.target, frame.target_center, pair.target_viewpoint),
-        T,
-    )
+    return source, target, T
 
 
 def collect(args: argparse.Namespace) -> None:
@@ -120,7 +109,7 @@ def collect(args: argparse.Namespace) -> None:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Table:
+class Collected:
     """All collected pairs, padded to the largest number of finalists."""
 
     features: Tensor  # (pairs, k, f)
@@ -131,7 +120,7 @@ class Table:
     shape: np.ndarray
 
 
-def load_table(folder: Path) -> Table:
+def load_table(folder: Path) -> Collected:
     rows = [row for f in sorted(folder.glob("*.pt")) for row in torch.load(f, weights_only=False)]
     k = max(len(row["features"]) for row in rows)
     n, width = len(rows), len(FEATURES)
@@ -145,7 +134,7 @@ def load_table(folder: Path) -> Table:
         same[i, :count, :count] = same_pose(row["T"], row["T"])
         if row["T_true"] is not None:
             right[i, :count] = same_pose(row["T"], row["T_true"][None])[:, 0]
-    return Table(
+    return Collected(
         features,
         present,
         right,
@@ -208,7 +197,7 @@ def fit(args: argparse.Namespace) -> None:
     print("wrote", args.weights)
 
 
-def report(table: Table, rows: Tensor, inputs: Tensor, weights: VerdictWeights) -> str:
+def report(table: Collected, rows: Tensor, inputs: Tensor, weights: VerdictWeights) -> str:
     """Accuracy and calibration of the answer on pairs that the fit has not seen, as a table."""
     with torch.no_grad():
         p = log_probabilities(inputs[rows], weights, table.present[rows]).exp()[:, :-1]
@@ -226,7 +215,10 @@ def report(table: Table, rows: Tensor, inputs: Tensor, weights: VerdictWeights) 
         cells.append([kind, str(of.sum()), *(f"{share:.3f}" for share in shares)])
     low = np.mean(stated[kinds == "unrelated"] <= 0.2)
     header = ("kind", "pairs", "truth among finalists", "answer right", "probability", "ECE")
-    return f"{markdown_table(header, cells)}\n\nUnrelated pairs with at most 0.2: {low:.3f}."
+    text = markdown(
+        Table("verdict", "Verdict", tuple((h,) for h in header), tuple(tuple(c) for c in cells))
+    )
+    return f"{text}\nUnrelated pairs with at most 0.2: {low:.3f}."
 
 
 def main() -> None:

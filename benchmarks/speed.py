@@ -16,22 +16,19 @@ import resource
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from common import (
-    THREAD_VARIABLES,
-    fullturn_registrar,
-    markdown_table,
-    score,
-    write_results,
-)
 from fullturn.data.motion import ball_translation, move, rigid, uniform_rotation
 from fullturn.data.pair import Pair
 from fullturn.data.perturb import crop_nearest, far_viewpoint, jitter, resample
 from fullturn.data.procedural import demo_object, sample_surface
+from fullturn.evaluation.layout import Table, markdown
+from fullturn.evaluation.metrics import rotation_error_deg
+from fullturn.evaluation.run import THREAD_VARIABLES, machine
 
 SIZES = (768, 2_048, 20_000, 1_000_000)
 
@@ -55,17 +52,18 @@ def make_pair(count: int, *, seed: int) -> Pair:
 
 
 def measure(method: str, count: int, *, seed: int, repetitions: int) -> dict[str, Any]:
-    """Time and memory of one size, in this process."""
-    registrar = fullturn_registrar(method)
-    registrar(make_pair(min(count, 768), seed=seed + 1), seed)
-    pair = make_pair(count, seed=seed)
+    """Time and memory of one size, in this process: the whole call, explanation included."""
+    import fullturn
+
+    small, pair = make_pair(min(count, 768), seed=seed + 1), make_pair(count, seed=seed)
+    fullturn.register(small.source, small.target, method=method, seed=seed)
     before = _peak_mib()
     cpu_seconds, stages = [], []
     for _ in range(repetitions):
         start = time.process_time()
-        answer = registrar(pair, seed)
+        result = fullturn.register(pair.source, pair.target, method=method, seed=seed)
         cpu_seconds.append(time.process_time() - start)
-        stages.append(answer.seconds)
+        stages.append(result.seconds)
     return {
         "points": count,
         "repetitions": repetitions,
@@ -75,8 +73,9 @@ def measure(method: str, count: int, *, seed: int, repetitions: int) -> dict[str
         "stages": {
             stage: float(np.median([seconds[stage] for seconds in stages])) for stage in stages[0]
         },
-        "rotation_error_deg": score(pair, answer)["rotation_error_deg"],
-        "error": answer.error,
+        "rotation_error_deg": float(
+            rotation_error_deg(result.T_target_source, pair.T_target_source)
+        ),
     }
 
 
@@ -101,17 +100,23 @@ def report(rows: list[dict[str, Any]], *, method: str, seed: int, out: Path, nam
                 f"{row['rotation_error_deg']:.3f}",
             ]
         )
-    header = ("points", "CPU s", "growth", "peak MiB", "MiB above start", "error °")
+    totals = _table(("points", "CPU s", "growth", "peak MiB", "MiB above start", "error °"), lines)
     stages = list(dict.fromkeys(stage for row in rows for stage in row["stages"]))
-    by_stage = [
-        [stage, *(f"{row['stages'].get(stage, 0.0):.4f}" for row in rows)] for stage in stages
-    ]
-    stage_header = ("wall seconds of stage", *(f"{row['points']:,}" for row in rows))
-    text = (
-        f"# Speed: {method}, seed {seed}, one thread\n\n{markdown_table(header, lines)}\n"
-        f"{markdown_table(stage_header, by_stage)}"
+    by_stage = _table(
+        ("wall seconds of stage", *(f"{row['points']:,}" for row in rows)),
+        [[stage, *(f"{row['stages'].get(stage, 0.0):.4f}" for row in rows)] for stage in stages],
     )
-    write_results(out, name, {"method": method, "seed": seed, "sizes": rows}, text)
+    text = f"# Speed: {method}, seed {seed}, one thread\n\n{totals}\n{by_stage}"
+    content = {"method": method, "seed": seed, "sizes": rows, "machine": machine()}
+    out.mkdir(parents=True, exist_ok=True)
+    (out / f"{name}.json").write_text(json.dumps(content, indent=1) + "\n")
+    (out / f"{name}.md").write_text(text)
+    print(text)
+
+
+def _table(header: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
+    heads, rows = tuple((head,) for head in header), tuple(tuple(line) for line in lines)
+    return markdown(Table("speed", "Speed", heads, rows))
 
 
 def main() -> None:

@@ -106,6 +106,39 @@ def test_the_seed_reaches_the_method(recorder: type[Recorder]) -> None:
     assert draws[2] == np.random.default_rng(4).random()
 
 
+def test_a_method_that_states_no_probability_gets_the_verdict() -> None:
+    target = CLOUD @ R_TRUE.T
+    right = fullturn.register(CLOUD, target, method="icp-point")
+    assert right.success_probability > 0.8
+    assert {"judge", "explain"} <= set(right.seconds)
+    other = np.random.default_rng(1).normal(size=(400, 3))
+    assert fullturn.register(CLOUD, other, method="icp-point").success_probability < 0.2
+
+
+def test_the_verdict_leaves_the_methods_own_order(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Reversed(Recorder):
+        def estimate(self, source: Cloud, target: Cloud, *, rng: np.random.Generator) -> Estimate:
+            found = super().estimate(source, target, rng=rng)
+            return Estimate(found.T_target_source.flip(0))
+
+    monkeypatch.setattr(api, "get", lambda _: Reversed)
+    result = fullturn.register(CLOUD, CLOUD)
+    (better,) = result.alternatives
+    np.testing.assert_allclose(better.T_target_source, np.eye(4), atol=1e-12)
+    assert result.success_probability < 0.1 < 0.8 < better.success_probability
+    assert result.success_probability + better.success_probability <= 1.0
+
+
+def test_an_answer_that_is_none_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Skewed(Recorder):
+        def estimate(self, source: Cloud, target: Cloud, *, rng: np.random.Generator) -> Estimate:
+            return Estimate(2.0 * torch.eye(4)[None])
+
+    monkeypatch.setattr(api, "get", lambda _: Skewed)
+    with pytest.raises(InputError, match=r"^method recorder: expected rigid poses"):
+        fullturn.register(CLOUD, CLOUD)
+
+
 def test_alternatives_and_symmetry_come_through(recorder: type[Recorder]) -> None:
     result = fullturn.register(CLOUD + 3, CLOUD)
     assert result.success_probability == pytest.approx(0.6)
@@ -146,9 +179,10 @@ def test_a_difference_in_units_is_noted() -> None:
 
 def test_the_registry_lists_names_and_refuses_others() -> None:
     assert names()[0] == DEFAULT
-    assert {"icp-point", "icp-plane"} <= set(names())
-    with pytest.raises(InputError, match=r"expected auto, consensus, .*got 'gicp'"):
-        get("gicp")
+    assert {"icp-point", "icp-plane", "gicp", "ransac", "fgr", "kiss"} <= set(names())
+    assert get("icp") is get("icp-plane")
+    with pytest.raises(InputError, match=r"expected auto, icp, consensus, .*got 'gipc'"):
+        get("gipc")
 
 
 def test_methods_describes_each_in_one_line() -> None:

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from fullturn.geometry import rigid
-from fullturn.normalize import Normalization, normalization_of
+from fullturn.normalize import Normalization, normalization_of, normalized_clouds
 
 RNG = np.random.default_rng(0)
 
@@ -82,3 +82,24 @@ def test_the_center_is_exact_far_from_the_origin() -> None:
     cloud = RNG.normal(size=(1000, 3))
     center = normalization_of(cloud + 1e6, cloud).source_center
     np.testing.assert_allclose(center - 1e6, cloud.mean(axis=0), atol=1e-9)
+
+
+@pytest.mark.parametrize("offset", [0.0, 1e6])
+def test_normalized_clouds_come_back_as_they_were(offset: float) -> None:
+    source, target = RNG.normal(size=(50, 3)) + offset, 3.0 * RNG.normal(size=(70, 3)) - offset
+    eye = np.array([9.0, 8.0, 7.0]) + offset
+    source_seen, target_seen, frame = normalized_clouds(source, target, eye)
+    assert frame.length == normalization_of(source, target).length
+    for seen, given, center in (
+        (source_seen, source, frame.source_center),
+        (target_seen, target, frame.target_center),
+    ):
+        assert seen.points.dtype == torch.float64
+        assert float(seen.points.mean(0).abs().max()) < 1e-9
+        back = seen.points.numpy() * frame.length + center
+        np.testing.assert_allclose(back, given, rtol=0, atol=1e-8)
+    assert source_seen.viewpoint is not None
+    np.testing.assert_allclose(
+        source_seen.viewpoint.numpy() * frame.length + frame.source_center, eye, atol=1e-8
+    )
+    assert target_seen.viewpoint is None

@@ -76,8 +76,70 @@ def test_every_documented_field_exists():
     assert shown == {field.name for field in fields(Registration)}
 
 
-def test_measured_numbers_are_those_of_the_results(monkeypatch):
+@pytest.fixture
+def readme(monkeypatch):
+    """The script that writes the measured numbers."""
     monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
-    import tables
+    import readme
 
-    assert tables.rewrite(README, tables.section(ROOT / "results")) == README
+    return readme
+
+
+def test_measured_numbers_are_those_of_the_results(readme):
+    assert readme.rewrite(README, readme.section(ROOT / "results")) == README
+
+
+def test_full_tables_are_those_of_their_runs():
+    from fullturn.evaluation.folders import read_runs
+    from fullturn.evaluation.layout import markdown_section
+    from fullturn.evaluation.tables import full_tables, main_table
+
+    for path in (ROOT / "results").glob("*/tables.md"):
+        sets = read_runs([path.parent])
+        text = path.read_text(encoding="utf-8")
+        for table in (main_table(sets), *full_tables(sets)):
+            assert markdown_section(table) in text, path
+
+
+def test_rewriting_twice_changes_nothing_and_keeps_the_rest(readme):
+    old = f"before\n{readme.BEGIN}\nold\n{readme.END}\nafter\n"
+    once = readme.rewrite(old, "new\n")
+    assert once == f"before\n{readme.BEGIN}\nnew\n{readme.END}\nafter\n"
+    assert readme.rewrite(once, "new\n") == once
+    with pytest.raises(SystemExit, match="put them back"):
+        readme.rewrite("no marks", "new\n")
+
+
+def test_what_is_missing_leaves_its_part_out(readme, tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(str(Path(__file__).parent / "evaluation"))
+    from run_folders import set_part, summary, write_run
+
+    assert readme.section(tmp_path) == ""
+    both = {"consensus": summary(), "gicp": summary(mean_deg=9.5, states=False)}
+    names = ("modelnet40/clean/180", "geotransformer/180", "modelnet40/noisy/45", "rpmnet/45")
+    write_run(tmp_path / "modelnet", {name: set_part(both) for name in names})
+    text = readme.section(tmp_path)
+    assert "| clean | fullturn | 4 | 2.50 | 0.500 | 75.0 | 75.0 | 62.5 | 0.38 |" in text
+    assert "|  | GICP (small_gicp) | 4 | 9.50 | 0.500 | 75.0 | 75.0 | – | 0.38 |" in text
+    assert "|  | GMCNet, as published | – | 0.036 |" in text
+    assert "| method | one sample, noise (4) | two samples, 70 % kept (4) |" in text
+    assert "| fullturn | 2.50°, 75.0 % | 2.50°, 75.0 % |" in text
+    assert "| GMCNet, as published | 0.94° | – |" in text
+    # What shares a sample and what doesn't never stand in one table of full rotations.
+    tables = re.findall(r"(?:^\|.*\n)+", text, re.M)
+    assert [("clean" in t, "cropped" in t) for t in tables[:2]] == [(True, False), (False, True)]
+    assert "range scans" not in text
+    assert "[All numbers" not in text
+
+    (tmp_path / "modelnet" / "tables.md").write_text("")
+    groups = {"overlap 0.3 to 0.6": both, "overlap below 0.1": both}
+    write_run(tmp_path / "scans", {"stanford": set_part(both, groups=groups)})
+    mixed = {"consensus": summary(unrelated=1, **{"unrelated_at_most_0.2": 1.0})}
+    write_run(tmp_path / "calibration", {"mixture": set_part(mixed)})
+    text = " ".join(readme.section(tmp_path).split())
+    assert "(results/modelnet/tables.md)" in text
+    assert "| overlap 30 to 60 % | fullturn | 4 | 2.50 |" in text
+    assert "below 0.1" not in text
+    # Of four pairs one is unrelated; three quarters of the others are right.
+    assert "says 62.5 % on average and is right in 56.2 %" in text
+    assert "Of the 1 pairs of different objects among them, 100.0 % get at most 0.2" in text

@@ -12,9 +12,13 @@ from fullturn.batch import RegistrationInterrupted, check_seed, register_many
 from fullturn.errors import InputError
 from fullturn.geometry.cloud import Cloud
 from fullturn.io import LoadedCloud, load_cloud
+from fullturn.methods.base import Estimate
+from fullturn.methods.check import checked_estimate
 from fullturn.methods.registry import get, methods
-from fullturn.normalize import normalization_of
+from fullturn.normalize import normalized_clouds
 from fullturn.pose.explain import explain, pose_overlap
+from fullturn.pose.search import measure_pose
+from fullturn.pose.verdict import load_weights, log_probabilities, verdict_inputs
 from fullturn.result import Alternative, Registration, Symmetry
 from fullturn.threads import one_thread
 
@@ -59,17 +63,19 @@ def register(
     target_eye = _viewpoint(target_viewpoint, "target_viewpoint")
     checked = time.perf_counter()
 
-    frame = normalization_of(source_cloud.points, target_cloud.points)
-    source_seen = _cloud(source_cloud.points, source_eye, frame.source_center, frame.length)
-    target_seen = _cloud(target_cloud.points, target_eye, frame.target_center, frame.length)
+    source_seen, target_seen, frame = normalized_clouds(
+        source_cloud.points, target_cloud.points, source_eye, target_eye
+    )
     normalized = time.perf_counter()
 
-    estimate = solver.estimate(source_seen, target_seen, rng=rng)
+    estimate = checked_estimate(solver.estimate(source_seen, target_seen, rng=rng), solver.name)
     estimated = time.perf_counter()
+
+    probabilities = _probabilities(source_seen, target_seen, estimate)
+    judged = time.perf_counter()
 
     T_best, *T_others = estimate.T_target_source
     explanation = explain(source_seen, target_seen, T_best)
-    probabilities = [float(p) for p in estimate.success_probability]
     alternatives = tuple(
         Alternative(
             T_target_source=frame.denormalize(T.numpy(force=True)),
@@ -93,7 +99,8 @@ def register(
             "check": checked - begin,
             "normalize": normalized - checked,
             **stages,
-            "explain": end - estimated,
+            **({"judge": judged - estimated} if estimate.success_probability is None else {}),
+            "explain": end - judged,
             "total": end - begin,
         },
         method=solver.name,
@@ -105,13 +112,14 @@ def _load(thing: Any, role: str) -> LoadedCloud:
     return load_cloud(thing, name=None if isinstance(thing, LoadedCloud) else role)
 
 
-def _cloud(
-    points: np.ndarray, viewpoint: np.ndarray | None, center: np.ndarray, length: float
-) -> Cloud:
-    def seen(values: np.ndarray) -> torch.Tensor:
-        return torch.from_numpy((values - center) / length)
-
-    return Cloud(seen(points), None if viewpoint is None else seen(viewpoint))
+def _probabilities(source: Cloud, target: Cloud, estimate: Estimate) -> list[float]:
+    """What the method states of each of its poses, or the verdict on them where it states none."""
+    if estimate.success_probability is not None:
+        return [float(p) for p in estimate.success_probability]
+    features = torch.cat([measure_pose(source, target, T) for T in estimate.T_target_source])
+    # The method's own order stays: its best pose is its answer, whatever the verdict thinks.
+    log_probability = log_probabilities(verdict_inputs(features.double()), load_weights())
+    return [float(p) for p in log_probability.exp()[:-1]]
 
 
 def _viewpoint(viewpoint: Any, name: str) -> np.ndarray | None:

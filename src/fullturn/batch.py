@@ -14,7 +14,7 @@ from fullturn.io.load import load_cloud
 from fullturn.methods.registry import get
 from fullturn.progress import progress_bar
 from fullturn.result import Registration
-from fullturn.workers import check_workers, run_in_workers
+from fullturn.workers import Crew, check_workers
 
 Outcome = Registration | FullturnError
 
@@ -71,9 +71,8 @@ def register_many(
                 for number, pair in enumerate(todo):
                     done(number, work(pair))
             else:
-                run_in_workers(
-                    work, todo, workers=min(most, len(todo)), done=done, portable=_portable
-                )
+                with Crew(work, workers=min(most, len(todo))) as crew:
+                    crew.run(todo, done, portable=_portable)
         except KeyboardInterrupt as interrupt:
             raise RegistrationInterrupted(results) from interrupt
     return [result for result in results if result is not None]

@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import torch
+
+from fullturn.geometry.cloud import Cloud
 
 # Robust against a few stray points, and all but the radius of a clean cloud.
 _RADIUS_QUANTILE = 0.99
@@ -43,6 +46,24 @@ class Normalization:
         return (covariance + covariance.T) / 2.0
 
 
+def normalized_clouds(
+    source: np.ndarray,
+    target: np.ndarray,
+    source_viewpoint: np.ndarray | None = None,
+    target_viewpoint: np.ndarray | None = None,
+) -> tuple[Cloud, Cloud, Normalization]:
+    """Both clouds as a method sees them, and the way back to the input's frames.
+
+    Points are float64 (N, 3); a viewpoint (3,) is in the frame and unit of its cloud.
+    """
+    frame = normalization_of(source, target)
+    return (
+        _cloud(source, source_viewpoint, frame.source_center, frame.length),
+        _cloud(target, target_viewpoint, frame.target_center, frame.length),
+        frame,
+    )
+
+
 def normalization_of(source: np.ndarray, target: np.ndarray) -> Normalization:
     """Centers are the means; the length is the larger of the two clouds' radii.
 
@@ -57,6 +78,15 @@ def normalization_of(source: np.ndarray, target: np.ndarray) -> Normalization:
     if not 1.0 / _UNLIKE < ratio < _UNLIKE:
         notes = (f"the source is {ratio:.3g} times as large as the target: is the unit the same?",)
     return Normalization(source_center, target_center, max(source_radius, target_radius), notes)
+
+
+def _cloud(
+    points: np.ndarray, viewpoint: np.ndarray | None, center: np.ndarray, length: float
+) -> Cloud:
+    def seen(values: np.ndarray) -> torch.Tensor:
+        return torch.from_numpy((values - center) / length)
+
+    return Cloud(seen(points), None if viewpoint is None else seen(viewpoint))
 
 
 def _center_and_radius(points: np.ndarray) -> tuple[np.ndarray, float]:

@@ -1,4 +1,4 @@
-"""Run a function on many tasks in worker processes; a process that dies costs one task."""
+"""Worker processes for many tasks; one that dies costs one task."""
 
 from __future__ import annotations
 
@@ -18,62 +18,76 @@ _CANNOT_START = (
 )
 
 
-def run_in_workers(
-    work: Callable[[Any], Any],
-    tasks: Iterable[Any],
-    *,
-    workers: int,
-    done: Callable[[int, Any], None],
-    portable: Callable[[Any], Any] = lambda task: task,
-) -> None:
-    """Call ``done(number, work(task))`` for every task, in the order in which they finish.
+class Crew:
+    """Worker processes that answer tasks one by one; they stay from one list of tasks to the next.
 
-    Each worker holds one task at a time and keeps `work` between tasks; it starts afresh ("spawn"),
-    so `work` and tasks must pickle. `portable` turns a task into one that does. A task whose
-    process dies, or that cannot be sent, gives a FullturnError in place of its result.
-
-    Raises:
-        FullturnError: worker processes cannot start.
+    Each worker keeps `work` between tasks and starts afresh ("spawn"), so `work` and tasks must
+    pickle. Leaving the block stops the workers.
     """
-    crew: dict[Connection, _Worker] = {}
-    waiting = enumerate(tasks)
 
-    def feed(worker: _Worker) -> None:
-        for number, task in waiting:
-            try:
-                worker.give(number, portable(task))
-            except FullturnError as error:
-                done(number, error)
-            else:
-                return
-        crew.pop(worker.pipe).stop()
+    def __init__(self, work: Callable[[Any], Any], *, workers: int) -> None:
+        self._work, self._most = work, workers
+        self._crew: dict[Connection, _Worker] = {}
 
-    def hire() -> None:
-        worker = _Worker(work)
-        crew[worker.pipe] = worker
+    def __enter__(self) -> Crew:
+        return self
 
-    try:
-        for _ in range(workers):
-            hire()
-        while crew:
-            for pipe in wait(list(crew)):
-                worker = crew[pipe]  # type: ignore[index]
+    def __exit__(self, *error: object) -> None:
+        for worker in self._crew.values():
+            worker.stop()
+
+    def run(
+        self,
+        tasks: Iterable[Any],
+        done: Callable[[int, Any], None],
+        *,
+        portable: Callable[[Any], Any] = lambda task: task,
+    ) -> None:
+        """Call ``done(number, work(task))`` for every task, in the order in which they finish.
+
+        `portable` turns a task into one that pickles. A task whose process dies, or that cannot be
+        sent, gives a FullturnError in place of its result.
+
+        Raises:
+            FullturnError: worker processes cannot start.
+        """
+        waiting = enumerate(tasks)
+
+        def feed(worker: _Worker) -> None:
+            worker.number = None
+            for number, task in waiting:
                 try:
-                    result = worker.pipe.recv()
+                    worker.give(number, portable(task))
+                except FullturnError as error:
+                    done(number, error)
+                else:
+                    return
+
+        for worker in self._crew.values():
+            feed(worker)
+        while len(self._crew) < self._most:
+            self._hire()
+        # A worker that is still starting may find nothing left to do.
+        while busy := [pipe for pipe, worker in self._crew.items() if worker.is_awaited]:
+            for pipe in wait(busy):
+                worker = self._crew[pipe]  # type: ignore[index]
+                try:
+                    result = worker.receive()
                 except (EOFError, OSError):
-                    del crew[worker.pipe]
+                    del self._crew[worker.pipe]
                     worker.stop()
                     if worker.number is None:
                         raise FullturnError(_CANNOT_START) from None
                     done(worker.number, worker.obituary())
-                    hire()
+                    self._hire()
                     continue
                 if worker.number is not None:
                     done(worker.number, result)
                 feed(worker)
-    finally:
-        for worker in crew.values():
-            worker.stop()
+
+    def _hire(self) -> None:
+        worker = _Worker(self._work)
+        self._crew[worker.pipe] = worker
 
 
 def check_workers(workers: Any) -> int:
@@ -97,6 +111,7 @@ class _Worker:
     def __init__(self, work: Callable[[Any], Any]) -> None:
         context = multiprocessing.get_context("spawn")
         self.number: int | None = None  # of the task at work
+        self.has_started = False
         self.pipe, other = context.Pipe()
         self.process = context.Process(target=_serve, args=(other, work), daemon=True)
         try:
@@ -104,6 +119,16 @@ class _Worker:
         except RuntimeError as error:  # this is itself a process that is still starting
             raise FullturnError(_CANNOT_START) from error
         other.close()
+
+    @property
+    def is_awaited(self) -> bool:
+        """Whether it owes an answer, or the word that it is ready."""
+        return self.number is not None or not self.has_started
+
+    def receive(self) -> Any:
+        answer = self.pipe.recv()
+        self.has_started = True
+        return answer
 
     def give(self, number: int, task: Any) -> None:
         try:

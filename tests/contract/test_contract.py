@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from contract_methods import METHODS, SLOW
 from contract_shapes import bracket, motion, move, pose_error, ring
 
 from fullturn import Registration, register, register_many
 from fullturn.errors import InputError
-from fullturn.methods.registry import get, names
+from fullturn.methods.registry import get
 
-METHODS = names()
 # What "the same pose" means: success as `success_probability` defines it.
 ANGLE_DEG, SHIFT = 5.0, 0.05
 
@@ -44,10 +44,11 @@ def expect(clause: Callable[[], bool], *, fails: bool) -> None:
     assert clause() is not fails
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", [*METHODS, *SLOW])
 def test_0_the_pair_is_solved(method: str, pair: tuple[np.ndarray, ...]) -> None:
     source, target, T_true = pair
-    assert same_pose(register(source, target, method=method).T_target_source, T_true, source)
+    T = register(source, target, method=method).T_target_source
+    expect(lambda: same_pose(T, T_true, source), fails=get(method).traits.whole)
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -158,7 +159,7 @@ def test_8_every_kind_of_cloud_and_none_is_modified(
     register(*frozen, method=method)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", [*METHODS, *SLOW])
 def test_9_the_same_seed_gives_the_same_bytes(method: str, pair: tuple[np.ndarray, ...]) -> None:
     source, target, _ = pair
     first, second = (register(source, target, method=method, seed=5) for _ in range(2))

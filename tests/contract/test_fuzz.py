@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from contract_methods import METHODS
 from contract_shapes import bracket
 
 from fullturn import load_cloud, register
@@ -89,7 +90,7 @@ def test_arrays_of_every_sort() -> None:
     assert min(came.values()) > ARRAYS // 12
 
 
-@pytest.mark.parametrize("method", names())
+@pytest.mark.parametrize("method", METHODS)
 def test_degenerate_clouds_through_every_method(method: str) -> None:
     rng = np.random.default_rng(1)
     square = np.array([[x, y, 0.0] for x in range(7) for y in range(7)])

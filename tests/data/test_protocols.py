@@ -7,16 +7,13 @@ import pytest
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
+from fullturn.data.categories import AXISYMMETRIC_CLASSES, MODELNET40_CLASSES
 from fullturn.data.motion import move
 from fullturn.data.pair import Pair
-from fullturn.data.protocols import (
-    AXISYMMETRIC_CLASSES,
-    MODELNET40_CLASSES,
-    PROTOCOLS,
-    is_eligible,
-    make_pairs,
-)
+from fullturn.data.protocols import PROTOCOLS, ProtocolPairs
+from fullturn.data.scan import scan_overlap
 from fullturn.data.shapes import ProceduralShapes, ShapeSource
+from fullturn.data.stored import StoredPoints
 from fullturn.errors import InputError
 
 
@@ -42,8 +39,20 @@ class OneShapePerClass(ShapeSource):
         return self.points(index, count, rng), self.points(index, count, rng)
 
 
+FIRST_POINTS = {
+    "modelnet40/noisy/180": [-0.204404, 0.463064, -0.179697],
+    "modelnet40/clean-resampled/180": [0.300227, -0.346572, 0.206268],
+    "rpmnet/45": [0.107309, -0.816935, 0.837855],
+}
+
+
 def draw(name: str, count: int, seed: int = 0) -> list[Pair]:
-    return list(make_pairs(PROTOCOLS[name], OneShapePerClass(), count=count, seed=seed))
+    return list(ProtocolPairs(PROTOCOLS[name], shapes_for(name), count=count, seed=seed))
+
+
+def shapes_for(name: str) -> ShapeSource:
+    # A virtual camera needs meshes.
+    return ProceduralShapes(3) if name == "mvp-rg" else OneShapePerClass()
 
 
 def angle_deg(pair: Pair) -> float:
@@ -57,13 +66,16 @@ def test_all_rows_are_there() -> None:
         "modelnet40/noisy-resampled/180",
     }
     expected |= {f"{name}/unseen" for name in expected}
-    assert set(PROTOCOLS) == expected | {"geotransformer/180", "rpmnet/45", "predator/45"}
+    expected |= {"geotransformer/180", "rpmnet/45", "predator/45", "mvp-rg"}
+    assert set(PROTOCOLS) == expected
 
 
 @pytest.mark.parametrize("name", PROTOCOLS)
 def test_pairs_depend_on_seed_and_number_alone(name: str) -> None:
-    few, many, other = draw(name, 3), draw(name, 6), draw(name, 3, seed=1)
-    for a, b in zip(few, many, strict=False):
+    few, other = draw(name, 2), draw(name, 1, seed=1)
+    more = ProtocolPairs(PROTOCOLS[name], shapes_for(name), count=6)
+    for number in (1, 0):
+        a, b = few[number], more.pair(number)
         assert a.name == b.name
         for field in ("source", "target", "T_target_source"):
             assert getattr(a, field).tobytes() == getattr(b, field).tobytes()
@@ -73,7 +85,7 @@ def test_pairs_depend_on_seed_and_number_alone(name: str) -> None:
 @pytest.mark.parametrize("name", PROTOCOLS)
 def test_clouds_have_the_stated_size_and_a_rigid_truth(name: str) -> None:
     pair = draw(name, 1)[0]
-    size = 768 if name.startswith("modelnet40") else 717
+    size = {"modelnet40": 768, "mvp-rg": 2048}.get(name.split("/")[0], 717)
     assert pair.source.shape == pair.target.shape == (size, 3)
     assert pair.source.dtype == pair.target.dtype == np.float64
     R = pair.T_target_source[:3, :3]
@@ -176,7 +188,7 @@ def test_class_list_is_alphabetical() -> None:
 
 
 def test_unknown_categories_are_eligible_everywhere() -> None:
-    assert all(is_eligible(protocol, "spaceship") for protocol in PROTOCOLS.values())
+    assert all(protocol.allows("spaceship") for protocol in PROTOCOLS.values())
 
 
 def test_no_allowed_shape_is_an_error() -> None:
@@ -184,12 +196,58 @@ def test_no_allowed_shape_is_an_error() -> None:
         def category(self, index: int) -> str:
             return "vase"
 
-    with pytest.raises(InputError, match="geotransformer/180"):
-        next(make_pairs(PROTOCOLS["geotransformer/180"], OnlyVases(), count=1))
+    expected = (
+        "geotransformer/180 needs shapes outside the axisymmetric ones; got 40 shapes of vase"
+    )
+    with pytest.raises(InputError, match=expected):
+        ProtocolPairs(PROTOCOLS["geotransformer/180"], OnlyVases(), count=1)
+
+    class OnlySeen(OneShapePerClass):
+        def category(self, index: int) -> str:
+            return MODELNET40_CLASSES[index % 20]
+
+    with pytest.raises(InputError, match="rpmnet/45 needs shapes outside the first 20"):
+        ProtocolPairs(PROTOCOLS["rpmnet/45"], OnlySeen(), count=1)
 
 
 def test_generated_shapes_serve_as_well() -> None:
-    pairs = list(
-        make_pairs(PROTOCOLS["modelnet40/noisy-resampled/180"], ProceduralShapes(4), count=4)
-    )
+    pairs = ProtocolPairs(PROTOCOLS["modelnet40/noisy-resampled/180"], ProceduralShapes(4), count=4)
     assert {pair.name for pair in pairs} == {f"procedural_0_{i:05d}" for i in range(4)}
+
+
+def test_stored_points_serve_as_far_as_they_reach() -> None:
+    def stored(count: int) -> StoredPoints:
+        return StoredPoints(
+            np.random.default_rng(0).normal(size=(2, count, 3)), ["a", "b"], ["", ""]
+        )
+
+    twice = PROTOCOLS["modelnet40/clean-resampled/180"]
+    pair = ProtocolPairs(twice, stored(2048), count=1).pair(0)
+    assert cKDTree(pair.target).query(move(pair.T_target_source, pair.source))[0].min() > 0
+    with pytest.raises(InputError, match="needs 2,048 points of each shape; got shapes of 2,047"):
+        ProtocolPairs(twice, stored(2047), count=1)
+    ProtocolPairs(PROTOCOLS["rpmnet/45"], stored(2048), count=1).pair(0)
+    with pytest.raises(InputError, match="rpmnet/45 needs 2,048 points"):
+        ProtocolPairs(PROTOCOLS["rpmnet/45"], stored(2047), count=1)
+    with pytest.raises(InputError, match="mvp-rg needs meshes"):
+        ProtocolPairs(PROTOCOLS["mvp-rg"], stored(4096), count=1)
+
+
+def test_virtual_scans_overlap_are_even_and_know_their_cameras() -> None:
+    for pair in draw("mvp-rg", 3):
+        moved = move(pair.T_target_source, pair.source)
+        # Asked of the dense views; thinning moves the measure a little.
+        assert scan_overlap(moved, pair.target) > 0.2
+        nearest = cKDTree(pair.target).query(pair.target, k=2)[0][:, 1]
+        assert np.quantile(nearest, 0.02) > 0.4 * np.median(nearest)
+        assert pair.source_viewpoint is not None
+        assert pair.target_viewpoint is not None
+        # From 2 to 4 radii around the box's center, which a unit ball's shape is near.
+        to_object = pair.target_viewpoint - pair.target.mean(axis=0)
+        assert 0.8 < np.linalg.norm(to_object) < 5.0
+        assert np.linalg.norm(pair.T_target_source[:3, 3]) <= 0.25
+
+
+@pytest.mark.parametrize("name", FIRST_POINTS)
+def test_the_pairs_of_seed_0_stay_what_they_are(name: str) -> None:
+    assert np.allclose(draw(name, 1)[0].source[0], FIRST_POINTS[name], atol=1e-6)

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from fullturn.data.procedural import demo_object
-from fullturn.data.shapes import MeshFolder, MeshPack, ModelNetSubset, ProceduralShapes
+from fullturn.data.shapes import MeshFolder, MeshPack, ProceduralShapes
 from fullturn.data.solids import box
+from fullturn.data.stored import ModelNetSubset
 from fullturn.errors import InputError, ReadError
 
 

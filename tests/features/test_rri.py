@@ -11,6 +11,7 @@ import torch
 from fullturn.errors import InputError
 from fullturn.features.rri import rri
 from fullturn.geometry.neighbors import knn
+from fullturn.geometry.rigid import random_rotations_uniform
 
 
 def by_definition(points: np.ndarray, index: np.ndarray) -> np.ndarray:
@@ -101,3 +102,18 @@ def test_degenerate_clouds_are_finite(points: torch.Tensor, dtype: torch.dtype) 
 def test_one_neighbor_is_an_error() -> None:
     with pytest.raises(InputError, match="needs at least 2 per point, got 1"):
         rri(torch.zeros(4, 3), torch.zeros(4, 1, dtype=torch.int64))
+
+
+def test_neighbors_in_a_row_share_their_gap_in_every_pose() -> None:
+    # From the first point, the next two lie in one direction; the fourth is a quarter turn on.
+    cloud = torch.tensor([[1.0, 0, 0], [1, 0.1, 0], [1, 0.2, 0], [1, 0, 0.3]], dtype=torch.float64)
+    index = torch.arange(4).expand(4, 4)
+    rng = np.random.default_rng(0)
+    quarter = math.pi / 2
+    for R in random_rotations_uniform(20, rng=rng).double():
+        phi = rri(cloud @ R.mT, index, center=torch.zeros(3, dtype=torch.float64))[0, :, 3]
+        expected = torch.tensor([0.0, quarter, quarter, 3 * quarter], dtype=torch.float64)
+        torch.testing.assert_close(phi, expected, atol=1e-9, rtol=0)
+    # Where all lie in one direction there is no other one.
+    phi = rri(cloud[:3], index[:3, :3], center=torch.zeros(3, dtype=torch.float64))[0, :, 3]
+    torch.testing.assert_close(phi, torch.zeros(3, dtype=torch.float64))

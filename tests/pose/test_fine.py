@@ -8,7 +8,7 @@ import torch
 from pose_shapes import perturbations, pose_error, random_motions, teapot
 from torch import Tensor
 
-from fullturn.data.protocols import PROTOCOLS, make_pairs
+from fullturn.data.protocols import PROTOCOLS, ProtocolPairs
 from fullturn.data.shapes import ProceduralShapes
 from fullturn.geometry import rigid
 from fullturn.geometry.cloud import Cloud
@@ -59,7 +59,7 @@ def test_the_same_points_are_laid_on_each_other_exactly(
 
 def test_every_kind_of_shape_is_laid_on_itself_exactly() -> None:
     shapes = ProceduralShapes(60, seed=3)
-    for pair in make_pairs(PROTOCOLS["modelnet40/clean/180"], shapes, count=16, seed=1):
+    for pair in ProtocolPairs(PROTOCOLS["modelnet40/clean/180"], shapes, count=16, seed=1):
         source, target = (torch.from_numpy(x) for x in (pair.source, pair.target))
         T_true = torch.from_numpy(pair.T_target_source)
         for shift in (0.0, 2e-3):

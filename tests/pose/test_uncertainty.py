@@ -8,7 +8,7 @@ import torch
 from pose_shapes import random_motions, teapot
 from torch import Tensor
 
-from fullturn.data.protocols import PROTOCOLS, make_pairs
+from fullturn.data.protocols import PROTOCOLS, ProtocolPairs
 from fullturn.data.shapes import ProceduralShapes
 from fullturn.geometry import rigid
 from fullturn.geometry.cloud import Cloud
@@ -95,7 +95,7 @@ def test_no_partner_no_knowledge() -> None:
 def test_errors_are_as_large_as_it_says(protocol: str) -> None:
     # ξᵀ C⁻¹ ξ of six right numbers has a median of 5.3.
     squares = []
-    for pair in make_pairs(PROTOCOLS[protocol], ProceduralShapes(60, seed=3), count=48, seed=1):
+    for pair in ProtocolPairs(PROTOCOLS[protocol], ProceduralShapes(60, seed=3), count=48, seed=1):
         source, target = (torch.from_numpy(x) for x in (pair.source, pair.target))
         T_true = torch.from_numpy(pair.T_target_source).clone()
         T_true[:3, 3] += T_true[:3, :3] @ source.mean(0) - target.mean(0)

@@ -56,10 +56,12 @@ def evaluate(
     if not protocol and not pairs:
         raise typer.BadParameter("expected --protocol with --shapes, or --pairs")
 
+    from fullturn.cli.render import print_results
     from fullturn.data.open import open_pairs, open_shapes, protocol_pairs
     from fullturn.data.pair_set import PairSet
+    from fullturn.evaluation.folders import read_runs
     from fullturn.evaluation.run import evaluate as run
-    from fullturn.evaluation.tables import print_summary
+    from fullturn.evaluation.tables import main_table
     from fullturn.progress import progress_bar
     from fullturn.workers import check_workers
 
@@ -71,7 +73,7 @@ def evaluate(
     sets += [open_pairs(path) for path in pairs or ()]
     total = len(method) * sum(len(one) for one in sets)
     with progress_bar("predicting", total) as advance:
-        summary = run(
+        run(
             sets,
             method,
             out=out,
@@ -81,5 +83,5 @@ def evaluate(
             advance=advance,
             note=tell,
         )
-    print_summary(summary)
+    print_results(main_table(read_runs([out])))
     typer.echo(f"Written to {out}; tables and figures: fullturn table {out} --out DIR")

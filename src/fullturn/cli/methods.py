@@ -17,5 +17,8 @@ def methods() -> None:
     for method in registered():
         name = f"{method.name} (auto)" if method.name == DEFAULT else method.name
         summary = f"{method.summary} [local]" if method.local else method.summary
+        if method.missing:
+            summary += f' [needs {", ".join(method.missing)}: pip install "fullturn[baselines]"]'
         table.add_row(name, summary.replace("[", r"\["), method.reference.replace("[", r"\["))
     Console().print(table)
+    print("\nYour own: --method file.py:Class or package.module:Class")

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from rich.console import Console
-from rich.table import Table
+from rich.table import Table as RichTable
 from rich.text import Text
 
+from fullturn.evaluation.layout import Table
 from fullturn.result import Registration
 from fullturn.viz.tables import probability
 
@@ -17,7 +19,7 @@ from fullturn.viz.tables import probability
 def print_table(result: Registration, *, source_name: str, target_name: str) -> None:
     """Print what matters of a registration as a compact table."""
     T = result.T_target_source
-    table = Table(box=None, show_header=False, pad_edge=False)
+    table = RichTable(box=None, show_header=False, pad_edge=False)
     table.add_column(style="bold", no_wrap=True)
     table.add_column(overflow="fold")
 
@@ -77,6 +79,24 @@ def print_json(result: Registration, *, source_name: str, target_name: str) -> N
         "target": target_name,
     }
     print(json.dumps(content))
+
+
+def print_results(main: Table) -> None:
+    """Print a table of results, each set's name on a line of its own so that it fits a terminal."""
+    lines = [[levels[-1] for levels in main.header][1:], *(row[1:] for row in main.rows)]
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+
+    def line(cells: Sequence[str]) -> str:
+        numbers = (cell.rjust(width) for cell, width in zip(cells[1:], widths[1:], strict=True))
+        return "  ".join(["", cells[0].ljust(widths[0]), *numbers])
+
+    print(line(lines[0]))
+    for (name, *_), cells in zip(main.rows, lines[1:], strict=True):
+        if name:
+            print(name)
+        print(line(cells))
+    for note in main.notes:
+        print(note)
 
 
 def rotation_deg(T_target_source: np.ndarray) -> float:

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from fullturn.data.motion import uniform_direction
 from fullturn.data.pair import Pair
+from fullturn.data.pair_set import PairSet, check_count
 from fullturn.data.protocols import PROTOCOLS, make_pair
 from fullturn.data.scan import scan_pair
 from fullturn.data.shapes import MeshSource
 from fullturn.data.solids import to_unit_ball
+from fullturn.errors import InputError
 
 KINDS = {  # name: share of the pairs
     "noisy": 0.15,
@@ -34,8 +38,49 @@ class MixedPair:
     """A pair, which kind it is of, and the shape that it shows (for splits by shape)."""
 
     pair: Pair
-    kind: str  # a key of KINDS; the pose of an "unrelated" pair means nothing
+    kind: str  # a key of KINDS
     shape: str
+
+
+class MixedPairs(PairSet):
+    """`count` pairs of a mixture of kinds; pair i depends only on (seed, i) and the shapes.
+
+    The group of a pair is its kind.
+    """
+
+    name = "mixture"
+
+    def __init__(
+        self, shapes: MeshSource | Sequence[MeshSource], *, count: int, seed: int = 0
+    ) -> None:
+        self._shapes = [shapes] if isinstance(shapes, MeshSource) else list(shapes)
+        if not self._shapes or min(len(source) for source in self._shapes) < 2:
+            raise InputError(
+                "expected at least one source of meshes, and two shapes in each, for the pairs of "
+                "different objects; pass more shapes"
+            )
+        self._count, self._seed = check_count(count), seed
+
+    @cached_property
+    def description(self) -> dict[str, Any]:
+        return {
+            "kind": "mixture",
+            "kinds": KINDS,
+            "seed": self._seed,
+            "count": self._count,
+            "shapes": [source.description for source in self._shapes],
+        }
+
+    def __len__(self) -> int:
+        return self._count
+
+    def pair(self, index: int) -> Pair:
+        self._check_index(index)
+        return mixed_pair(self._shapes, seed=self._seed, number=index).pair
+
+    def group(self, index: int) -> str:
+        self._check_index(index)
+        return _choose(self._shapes, np.random.default_rng([self._seed, index]))[2]
 
 
 def mixed_pair(
@@ -48,9 +93,7 @@ def mixed_pair(
     5,000 to 40,000 points (scans to 8,000), as scanners give.
     """
     rng = np.random.default_rng([seed, number])
-    source = shapes[int(rng.integers(len(shapes)))]
-    index = int(rng.integers(len(source)))
-    kind = str(rng.choice(list(KINDS), p=list(KINDS.values())))
+    source, index, kind = _choose(shapes, rng)
     if kind != "unrelated":
         return MixedPair(_draw(source, index, kind, rng, dense), kind, source.name(index))
     kinds = [k for k in KINDS if k != "unrelated"]
@@ -58,9 +101,21 @@ def mixed_pair(
     other = (index + 1 + int(rng.integers(len(source) - 1))) % len(source)
     second = _draw(source, other, str(rng.choice(kinds)), rng, dense)
     unrelated = dataclasses.replace(
-        first, target=second.target, target_viewpoint=second.target_viewpoint
+        first,
+        target=second.target,
+        target_viewpoint=second.target_viewpoint,
+        T_target_source=np.eye(4),
+        name=f"{first.name} + {second.name}",
+        related=False,
     )
     return MixedPair(unrelated, kind, source.name(index))
+
+
+def _choose(shapes: Sequence[MeshSource], rng: np.random.Generator) -> tuple[MeshSource, int, str]:
+    """The source, the number of the shape in it, and the kind of the pair."""
+    source = shapes[int(rng.integers(len(shapes)))]
+    index = int(rng.integers(len(source)))
+    return source, index, str(rng.choice(list(KINDS), p=list(KINDS.values())))
 
 
 def _draw(source: MeshSource, index: int, kind: str, rng: np.random.Generator, dense: bool) -> Pair:
@@ -95,6 +150,7 @@ def _draw_even(
             points=min(many, 8_000) or _scan_points(rng),
             min_overlap=float(rng.uniform(0.2, 0.7)),
             noise_sigma=float(rng.choice([0.0, 0.002, 0.005, 0.01])),
+            name=source.name(index),
         )
     sigma = float(rng.choice([0.005, 0.01, 0.01, 0.015]))
     few = int(np.exp(rng.uniform(np.log(12), np.log(400))))

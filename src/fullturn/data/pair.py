@@ -15,6 +15,9 @@ class Pair:
     source: Float[np.ndarray, "n 3"]  # float64
     target: Float[np.ndarray, "m 3"]  # float64
     T_target_source: Float[np.ndarray, "4 4"]  # float64, the truth
-    name: str  # unique within its set, names the shape
+    name: str  # of the shape or the scans that it shows; several pairs may share one
     source_viewpoint: Float[np.ndarray, "3"] | None = None  # sensor position, source frame
     target_viewpoint: Float[np.ndarray, "3"] | None = None  # sensor position, target frame
+    related: bool = (
+        True  # False: two different objects, no pose is right, the truth is the identity
+    )

@@ -21,7 +21,12 @@ from fullturn.data.solids import (
 )
 from fullturn.data.surface import sample_surface
 
-__all__ = ["demo_object", "dog", "procedural_mesh", "sample_surface"]
+__all__ = ["demo_object", "dog", "procedural_family", "procedural_mesh", "sample_surface"]
+
+
+def procedural_family(rng: np.random.Generator) -> str:
+    """The family of the object that `procedural_mesh` makes from a generator in the same state."""
+    return str(rng.choice(list(FAMILIES)))
 
 
 def procedural_mesh(rng: np.random.Generator) -> trimesh.Trimesh:
@@ -30,7 +35,7 @@ def procedural_mesh(rng: np.random.Generator) -> trimesh.Trimesh:
     ``mesh.metadata["family"]`` names the family. Some families are exactly symmetric, some carry
     one small feature that breaks the symmetry; the orientation is random.
     """
-    family = str(rng.choice(list(FAMILIES)))
+    family = procedural_family(rng)
     mesh = to_unit_ball(placed(FAMILIES[family](rng), rotation=uniform_rotation(rng)))
     mesh.metadata["family"] = family
     return mesh

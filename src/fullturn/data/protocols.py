@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import dataclasses
 from dataclasses import dataclass
-from typing import Literal
+from functools import cached_property
+from typing import Any, Literal
 
 import numpy as np
+import torch
 from jaxtyping import Float
 
+from fullturn.data.categories import AXISYMMETRIC_CLASSES, SEEN_CLASSES
 from fullturn.data.motion import (
     axis_angle_rotation,
     ball_translation,
@@ -18,23 +21,12 @@ from fullturn.data.motion import (
     rigid,
 )
 from fullturn.data.pair import Pair
+from fullturn.data.pair_set import PairSet, check_count
 from fullturn.data.perturb import crop_nearest, crop_plane, far_viewpoint, jitter, resample
-from fullturn.data.shapes import ShapeSource
+from fullturn.data.scan import two_views
+from fullturn.data.shapes import MeshSource, ShapeSource
 from fullturn.errors import InputError
-
-# fmt: off
-MODELNET40_CLASSES = (  # in the order of their labels, 0 to 39
-    "airplane", "bathtub", "bed", "bench", "bookshelf", "bottle", "bowl", "car",
-    "chair", "cone", "cup", "curtain", "desk", "door", "dresser", "flower_pot",
-    "glass_box", "guitar", "keyboard", "lamp", "laptop", "mantel", "monitor", "night_stand",
-    "person", "piano", "plant", "radio", "range_hood", "sink", "sofa", "stairs",
-    "stool", "table", "tent", "toilet", "tv_stand", "vase", "wardrobe", "xbox",
-)
-# fmt: on
-AXISYMMETRIC_CLASSES = frozenset(
-    ("bottle", "bowl", "cone", "cup", "flower_pot", "lamp", "tent", "vase")
-)
-SEEN_CLASSES = frozenset(MODELNET40_CLASSES[:20])
+from fullturn.geometry.sampling import farthest_point_sample
 
 
 @dataclass(frozen=True)
@@ -42,53 +34,101 @@ class Protocol:
     """How pairs are drawn. Lengths are in radii of the unit ball."""
 
     name: str
-    crop: Literal["far_viewpoint", "plane"]
+    crop: Literal["far_viewpoint", "plane", "views"]
     resampled: bool  # two samples of the surface instead of one for both clouds
     max_angle_deg: float  # of the relative rotation: about one axis, or of each Euler angle
     noise_sigma: float = 0.0  # of every coordinate, after the crop
     noise_clip: float = 0.05
-    sample_points: int = 1024  # of the whole object, before the crop
+    sample_points: int = 1024  # of the whole object, before the crop; of a view, before thinning
     kept_share: float = 0.7  # of the points, on the kept side of a plane (crop "plane")
     cloud_points: int = 768  # of each cloud
     without_axisymmetric: bool = False  # leave the eight axisymmetric ModelNet40 classes out
     unseen: bool = False  # test on the last 20 ModelNet40 classes; the first 20 are for training
+    least_overlap: float = 0.0  # share of each cloud that the other one sees, too (crop "views")
+
+    @property
+    def stored_points(self) -> int:
+        """How many points of a shape a pair takes, where shapes are stored samples."""
+        twice = self.resampled and self.crop == "far_viewpoint"
+        return self.sample_points * (2 if twice else 1)
+
+    def allows(self, category: str) -> bool:
+        """Whether the protocol tests on this category; unknown categories count as unseen."""
+        if self.without_axisymmetric and category in AXISYMMETRIC_CLASSES:
+            return False
+        return not (self.unseen and category in SEEN_CLASSES)
+
+    def eligible(self, shapes: ShapeSource) -> list[int]:
+        """The shapes that the protocol tests on.
+
+        Raises:
+            InputError: none of them, or they can't give what the protocol needs.
+        """
+        if self.crop == "views":
+            _meshes(self, shapes)
+        stored = shapes.stored_points
+        if stored is not None and stored < self.stored_points:
+            raise InputError(
+                f"{self.name} needs {self.stored_points:,} points of each shape; got shapes of "
+                f"{stored:,} stored points; pass meshes or shapes with more points"
+            )
+        if not (self.unseen or self.without_axisymmetric):
+            return list(range(len(shapes)))
+        categories = [shapes.category(i) for i in range(len(shapes))]
+        allowed = [i for i, category in enumerate(categories) if self.allows(category)]
+        if not allowed:
+            left_out = "the first 20 ModelNet40 classes" if self.unseen else ""
+            if self.without_axisymmetric:
+                left_out += " and the " if left_out else "the "
+                left_out += "axisymmetric ones"
+            raise InputError(
+                f"{self.name} needs shapes outside {left_out}; got {len(shapes)} shapes of "
+                f"{', '.join(sorted(set(categories)))}; pass other shapes"
+            )
+        return allowed
 
 
-def make_pairs(
-    protocol: Protocol, shapes: ShapeSource, *, count: int, seed: int = 0
-) -> Iterator[Pair]:
-    """Yield `count` pairs; pair i depends only on (seed, i) and the shapes, to the byte.
+class ProtocolPairs(PairSet):
+    """`count` pairs of a protocol; pair i depends only on (seed, i) and the shapes, to the byte.
 
     Shapes are taken in one seeded random order, round and round, so all appear about equally often.
     Protocols that differ in the noise alone draw the same poses and crops.
     """
-    eligible = list(range(len(shapes)))
-    # A category may cost the making of its shape: asked only where the protocol cares.
-    if protocol.unseen or protocol.without_axisymmetric:
-        eligible = [i for i in eligible if is_eligible(protocol, shapes.category(i))]
-    if not eligible:
-        raise InputError(
-            f"expected shapes that {protocol.name} allows, got {len(shapes)} of other categories; "
-            "pass other shapes"
-        )
-    order = np.random.default_rng(seed).permutation(eligible)
-    for i in range(count):
-        yield make_pair(
-            protocol, shapes, int(order[i % len(order)]), rng=np.random.default_rng([seed, i])
-        )
 
+    def __init__(
+        self, protocol: Protocol, shapes: ShapeSource, *, count: int, seed: int = 0
+    ) -> None:
+        """Raises InputError where the shapes can't serve the protocol."""
+        self.name, self.protocol, self.shapes = protocol.name, protocol, shapes
+        self._count, self._seed = check_count(count), seed
+        self._order = np.random.default_rng(seed).permutation(protocol.eligible(shapes))
 
-def is_eligible(protocol: Protocol, category: str) -> bool:
-    """Whether the protocol tests on this category; unknown categories count as unseen."""
-    if protocol.without_axisymmetric and category in AXISYMMETRIC_CLASSES:
-        return False
-    return not (protocol.unseen and category in SEEN_CLASSES)
+    @cached_property
+    def description(self) -> dict[str, Any]:
+        return {
+            "kind": "protocol",
+            "protocol": dataclasses.asdict(self.protocol),
+            "seed": self._seed,
+            "count": self._count,
+            "shapes": self.shapes.description,
+        }
+
+    def __len__(self) -> int:
+        return self._count
+
+    def pair(self, index: int) -> Pair:
+        self._check_index(index)
+        shape = int(self._order[index % len(self._order)])
+        rng = np.random.default_rng([self._seed, index])
+        return make_pair(self.protocol, self.shapes, shape, rng=rng)
 
 
 def make_pair(
     protocol: Protocol, shapes: ShapeSource, index: int, *, rng: np.random.Generator
 ) -> Pair:
     """One pair of the shape `index`: pose, crop, noise, each by the protocol's rule."""
+    if protocol.crop == "views":
+        return _views_pair(protocol, _meshes(protocol, shapes), index, rng)
     draw = _far_viewpoint_pair if protocol.crop == "far_viewpoint" else _plane_pair
     source, target, T_target_source = draw(protocol, shapes, index, rng)
     if protocol.noise_sigma > 0.0:
@@ -108,13 +148,7 @@ def _far_viewpoint_pair(
         first, second = shapes.points_pair(index, protocol.sample_points, rng)
     else:
         first = second = shapes.points(index, protocol.sample_points, rng)
-    T_source_object = rigid(
-        axis_angle_rotation(rng, max_angle_deg=180.0), ball_translation(rng, max_length=0.5)
-    )
-    T_target_source = rigid(
-        axis_angle_rotation(rng, max_angle_deg=protocol.max_angle_deg),
-        ball_translation(rng, max_length=0.25),
-    )
+    T_source_object, T_target_source = _common_and_relative(protocol, rng)
     viewpoint = far_viewpoint(rng)
     clouds = [
         # The crop keeps the order of the sample, which would give the matches away.
@@ -148,6 +182,60 @@ def _plane_pair(
         for _ in range(2)
     )
     return move(invert(T_target_source), source), target, T_target_source
+
+
+def _meshes(protocol: Protocol, shapes: ShapeSource) -> MeshSource:
+    if not isinstance(shapes, MeshSource):
+        raise InputError(
+            f"{protocol.name} needs meshes, which a virtual camera can scan; got stored point "
+            "samples; pass a mesh pack, a folder of meshes or procedural shapes"
+        )
+    return shapes
+
+
+def _views_pair(
+    protocol: Protocol, shapes: MeshSource, index: int, rng: np.random.Generator
+) -> Pair:
+    """Two virtual scans of a mesh, thinned to evenly spread points, then posed."""
+    first, second, _ = two_views(
+        shapes.mesh(index),
+        rng,
+        points=protocol.sample_points,
+        min_overlap=protocol.least_overlap,
+    )
+    T_source_object, T_target_source = _common_and_relative(protocol, rng)
+    T_target_object = T_target_source @ T_source_object
+    source, target = (
+        move(T, _spread(view.points, protocol.cloud_points))
+        for T, view in ((T_source_object, first), (T_target_object, second))
+    )
+    return Pair(
+        source,
+        target,
+        T_target_source,
+        shapes.name(index),
+        source_viewpoint=move(T_source_object, first.camera[None])[0],
+        target_viewpoint=move(T_target_object, second.camera[None])[0],
+    )
+
+
+def _spread(points: Float[np.ndarray, "n 3"], count: int) -> Float[np.ndarray, "count 3"]:
+    # The order of farthest points is left as it is: it tells nothing about the other cloud.
+    return points[farthest_point_sample(torch.from_numpy(points), count).numpy()]
+
+
+def _common_and_relative(
+    protocol: Protocol, rng: np.random.Generator
+) -> tuple[Float[np.ndarray, "4 4"], Float[np.ndarray, "4 4"]]:
+    """T_source_object, a pose common to both clouds, and T_target_source."""
+    T_source_object = rigid(
+        axis_angle_rotation(rng, max_angle_deg=180.0), ball_translation(rng, max_length=0.5)
+    )
+    T_target_source = rigid(
+        axis_angle_rotation(rng, max_angle_deg=protocol.max_angle_deg),
+        ball_translation(rng, max_length=0.25),
+    )
+    return T_source_object, T_target_source
 
 
 def _modelnet40(
@@ -190,5 +278,14 @@ _ALL = [
     _plane("geotransformer/180", 180.0, 0.7, without_axisymmetric=True, unseen=False),
     _plane("rpmnet/45", 45.0, 0.7, without_axisymmetric=False, unseen=True),
     _plane("predator/45", 45.0, 0.5, without_axisymmetric=False, unseen=True),
+    Protocol(
+        name="mvp-rg",
+        crop="views",
+        resampled=True,
+        max_angle_deg=180.0,
+        sample_points=4096,
+        cloud_points=2048,
+        least_overlap=0.3,
+    ),
 ]
 PROTOCOLS: dict[str, Protocol] = {protocol.name: protocol for protocol in _ALL}

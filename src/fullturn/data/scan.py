@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import trimesh
 from jaxtyping import Bool, Float, Int
@@ -68,6 +70,61 @@ def scan(
     return points
 
 
+@dataclass(frozen=True, eq=False)
+class View:
+    """What one camera sees, in the frame of the surface."""
+
+    points: Float[np.ndarray, "n 3"]
+    camera: Float[np.ndarray, "3"]
+
+
+def two_views(
+    mesh: trimesh.Trimesh,
+    rng: np.random.Generator,
+    *,
+    points: int,
+    min_overlap: float,
+    distance: tuple[float, float] = (2.0, 4.0),
+    noise_sigma: float = 0.0,
+    grazing_deg: float = 0.0,
+    tries: int = 12,
+) -> tuple[View, View, float]:
+    """Two overlapping scans of a mesh in its own frame, and the radius of the mesh.
+
+    `distance` (a range to draw from) and `noise_sigma` are in radii of the mesh, around the center
+    of its bounding box. The second camera is drawn again, closer and closer to the first, until
+    `scan_overlap` reaches `min_overlap`.
+    """
+    center = mesh.bounds.mean(axis=0)
+    size = float(np.linalg.norm(mesh.vertices - center, axis=1).max())
+
+    def view(direction: np.ndarray) -> View:
+        camera = center + size * rng.uniform(*distance) * direction
+        cloud = scan(
+            mesh,
+            camera,
+            count=points,
+            rng=rng,
+            noise_sigma=noise_sigma * size,
+            grazing_deg=grazing_deg,
+        )
+        return View(cloud, camera)
+
+    first_direction = uniform_direction(rng)
+    source = view(first_direction)
+    for attempt in range(tries):
+        widest_deg = 180.0 * (1.0 - attempt / tries)
+        target = view(_turned(first_direction, rng, max_angle_deg=widest_deg))
+        if scan_overlap(source.points, target.points) >= min_overlap:
+            break
+    else:
+        raise InputError(
+            f"expected views that overlap by {min_overlap}, found none in {tries} tries; "
+            "lower min_overlap"
+        )
+    return source, target, size
+
+
 def scan_pair(
     mesh: trimesh.Trimesh,
     rng: np.random.Generator,
@@ -80,49 +137,27 @@ def scan_pair(
     name: str = "scan",
     tries: int = 12,
 ) -> Pair:
-    """Two views of a mesh from random sides, each under its own random rigid motion.
-
-    `distance` (a range to draw from) and `noise_sigma` are in radii of the mesh, around the center
-    of its bounding box. The second camera is drawn again, closer and closer to the first, until
-    `scan_overlap` reaches `min_overlap`.
-    """
-    center = mesh.bounds.mean(axis=0)
-    size = float(np.linalg.norm(mesh.vertices - center, axis=1).max())
-
-    def view(direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        camera = center + size * rng.uniform(*distance) * direction
-        cloud = scan(
-            mesh,
-            camera,
-            count=points,
-            rng=rng,
-            noise_sigma=noise_sigma * size,
-            grazing_deg=grazing_deg,
-        )
-        return cloud, camera
-
-    first_direction = uniform_direction(rng)
-    source, source_camera = view(first_direction)
-    for attempt in range(tries):
-        widest_deg = 180.0 * (1.0 - attempt / tries)
-        target, target_camera = view(_turned(first_direction, rng, max_angle_deg=widest_deg))
-        if scan_overlap(source, target) >= min_overlap:
-            break
-    else:
-        raise InputError(
-            f"expected views that overlap by {min_overlap}, found none in {tries} tries; "
-            "lower min_overlap"
-        )
+    """Two views of a mesh from random sides (`two_views`), each under its own random motion."""
+    source, target, size = two_views(
+        mesh,
+        rng,
+        points=points,
+        min_overlap=min_overlap,
+        distance=distance,
+        noise_sigma=noise_sigma,
+        grazing_deg=grazing_deg,
+        tries=tries,
+    )
     T_source_object, T_target_object = (
         rigid(uniform_rotation(rng), ball_translation(rng, max_length=size)) for _ in range(2)
     )
     return Pair(
-        move(T_source_object, source),
-        move(T_target_object, target),
+        move(T_source_object, source.points),
+        move(T_target_object, target.points),
         T_target_object @ invert(T_source_object),
         name,
-        source_viewpoint=move(T_source_object, source_camera[None])[0],
-        target_viewpoint=move(T_target_object, target_camera[None])[0],
+        source_viewpoint=move(T_source_object, source.camera[None])[0],
+        target_viewpoint=move(T_target_object, target.camera[None])[0],
     )
 
 

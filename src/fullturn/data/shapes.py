@@ -1,30 +1,46 @@
-"""Where shapes come from: mesh packs, ModelNet40 samples, mesh files, our own generator.
+"""Where shapes come from: mesh packs, mesh files, our own generator; `stored` has point samples.
 
 Every source gives points in the unit ball of its shape. A mesh is centered on the mean of 4,096
-surface samples, the farthest of which lies at distance 1; stored ModelNet40 points keep the
-dataset's own normalization (largest radius 1, center not the mean).
+surface samples, the farthest of which lies at distance 1.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
+from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
 from jaxtyping import Float
 
-from fullturn.data.procedural import procedural_mesh
+from fullturn.data.procedural import procedural_family, procedural_mesh
+from fullturn.data.provenance import sha256_of_file, sha256_of_files
 from fullturn.data.surface import sample_surface
 from fullturn.errors import InputError, ReadError
+from fullturn.io.atomic import one_line
 
 _MESH_SUFFIXES = {".glb", ".gltf", ".obj", ".off", ".ply", ".stl"}
 _NORMALIZATION_COUNT = 4096
+# fmt: off
+PACK_KEYS = (
+    "vertices", "faces", "vertex_offsets", "face_offsets", "name", "category", "source", "split",
+)
+# fmt: on
 
 
 class ShapeSource(ABC):
     """Shapes by number: each has points, a name and a category."""
+
+    stored_points: int | None = None  # all that a shape has; None: as many as are asked for
+
+    @cached_property
+    def description(self) -> dict[str, Any]:
+        """What the shapes are, as JSON values: kind, file, hash, part, count; no folders."""
+        return {"kind": type(self).__name__, "count": len(self)}
 
     @abstractmethod
     def __len__(self) -> int:
@@ -82,7 +98,8 @@ class MeshPack(MeshSource):
     """Meshes of one `.npz` file: 16-bit vertices and faces of all meshes, one after the other.
 
     Keys: `vertices`, `faces`, `vertex_offsets`, `face_offsets`, `name`, `category`, `source`,
-    `split`. Only the meshes of `split` and `sources` (None: all) are visible.
+    `split`, and, if known, `licence`. Only the meshes of `split` and `sources` (None: all) are
+    visible.
     """
 
     def __init__(
@@ -92,7 +109,8 @@ class MeshPack(MeshSource):
         split: str | None = None,
         sources: Collection[str] | None = None,
     ) -> None:
-        pack = _open_npz(path, ("vertices", "faces", "vertex_offsets", "face_offsets", "name"))
+        pack = open_npz(path, PACK_KEYS)
+        self._path, self._split, self._sources = Path(path), split, sources
         self._vertices, self._faces = pack["vertices"], pack["faces"]
         self._vertex_offsets, self._face_offsets = pack["vertex_offsets"], pack["face_offsets"]
         keep = np.ones(len(pack["name"]), dtype=bool)
@@ -102,11 +120,27 @@ class MeshPack(MeshSource):
             keep &= np.isin(pack["source"], list(sources))
         if not keep.any():
             raise InputError(
-                f"expected meshes with split {split!r}, sources {sources} in {path}, found none; "
-                f"splits: {sorted(set(pack['split']))}, sources: {sorted(set(pack['source']))}"
+                f"expected meshes of split {split or 'any'} and source "
+                f"{'any' if sources is None else ' or '.join(sources)} in {path}, found none; "
+                f"splits: {', '.join(sorted(set(pack['split'].tolist())))}; "
+                f"sources: {', '.join(sorted(set(pack['source'].tolist())))}"
             )
         self._index = np.flatnonzero(keep)
         self._name, self._category = pack["name"], pack["category"]
+        licenses = pack["licence"][keep].tolist() if "licence" in pack else []
+        self._license = "; ".join(sorted(set(licenses))) or None
+
+    @cached_property
+    def description(self) -> dict[str, Any]:
+        return {
+            "kind": "mesh pack",
+            "file": self._path.name,
+            "sha256": sha256_of_file(self._path),
+            "part": self._split,
+            **({} if self._sources is None else {"sources": sorted(self._sources)}),
+            "count": len(self),
+            "license": self._license,
+        }
 
     def __len__(self) -> int:
         return len(self._index)
@@ -140,6 +174,17 @@ class MeshFolder(MeshSource):
                 "none; check the folder"
             )
 
+    @cached_property
+    def description(self) -> dict[str, Any]:
+        return {
+            "kind": "mesh folder",
+            "file": self._root.resolve().name,
+            "sha256": sha256_of_files(self._files, root=self._root),
+            "part": None,
+            "count": len(self),
+            "license": None,
+        }
+
     def __len__(self) -> int:
         return len(self._files)
 
@@ -163,7 +208,21 @@ class ProceduralShapes(MeshSource):
     """`count` generated objects; object i depends only on (seed, i)."""
 
     def __init__(self, count: int, seed: int = 0) -> None:
+        if count < 1 or seed < 0:
+            raise InputError(
+                f"expected a count of at least 1 and a seed of at least 0, got {count} and {seed}; "
+                "change them"
+            )
         self._count, self._seed = count, seed
+
+    @cached_property
+    def description(self) -> dict[str, Any]:
+        return {
+            "kind": "procedural",
+            "seed": self._seed,
+            "count": self._count,
+            "license": "none needed: made by formulas",
+        }
 
     def __len__(self) -> int:
         return self._count
@@ -172,64 +231,47 @@ class ProceduralShapes(MeshSource):
         return f"procedural_{self._seed}_{index:05d}"
 
     def category(self, index: int) -> str:
-        return str(self.raw_mesh(index).metadata["family"])
+        return procedural_family(np.random.default_rng([self._seed, index]))
 
     def raw_mesh(self, index: int) -> trimesh.Trimesh:
         return procedural_mesh(np.random.default_rng([self._seed, index]))
 
 
-class ModelNetSubset(ShapeSource):
-    """Stored ModelNet40 samples of one `.npz` file: 4,096 points a shape, in random order.
+def open_npz(path: str | Path, keys: tuple[str, ...]) -> dict[str, np.ndarray]:
+    """All arrays of a `.npz` file, which must hold `keys`.
 
-    Keys: `points` int16 (M, 4096, 3), `scale`, `name`, `cls`, `use`. Draws are without replacement;
-    `points_pair` splits one draw, so its two clouds are disjoint.
+    Raises:
+        ReadError: no such file, not a `.npz` file, arrays of objects, or a key is missing.
     """
-
-    def __init__(self, path: str | Path, *, use: str = "dev_eval") -> None:
-        pack = _open_npz(path, ("points", "scale", "name", "cls", "use"))
-        keep = pack["use"] == use
-        if not keep.any():
-            raise InputError(
-                f"expected shapes with use {use!r}, found none in {path}; "
-                f"there are: {sorted(set(pack['use']))}"
-            )
-        self._points, self._scale = pack["points"][keep], float(pack["scale"])
-        self._name, self._category = pack["name"][keep], pack["cls"][keep]
-
-    def __len__(self) -> int:
-        return len(self._points)
-
-    def name(self, index: int) -> str:
-        return str(self._name[index])
-
-    def category(self, index: int) -> str:
-        return str(self._category[index])
-
-    def points(
-        self, index: int, count: int, rng: np.random.Generator
-    ) -> Float[np.ndarray, "count 3"]:
-        stored = self._points[index]
-        if count > len(stored):
-            raise InputError(
-                f"expected at most {len(stored)} points of {self.name(index)}, got {count}; "
-                "ask for fewer or use a mesh source"
-            )
-        return stored[rng.permutation(len(stored))[:count]] / self._scale
-
-    def points_pair(
-        self, index: int, count: int, rng: np.random.Generator
-    ) -> tuple[Float[np.ndarray, "count 3"], Float[np.ndarray, "count 3"]]:
-        sample = self.points(index, 2 * count, rng)
-        return sample[:count], sample[count:]
-
-
-def _open_npz(path: str | Path, keys: tuple[str, ...]) -> dict[str, np.ndarray]:
-    try:
-        with np.load(path) as archive:
-            content = {key: archive[key] for key in archive.files}
-    except (OSError, ValueError) as error:
-        raise ReadError(f"expected a .npz pack at {path}, could not read it: {error}") from error
+    with _archive(path) as archive:
+        content = {key: archive[key] for key in archive.files}
     missing = [key for key in keys if key not in content]
     if missing:
-        raise ReadError(f"expected the keys {', '.join(keys)} in {path}, missing: {missing}")
+        raise ReadError(
+            f"expected the keys {', '.join(keys)} in {path}, missing: {', '.join(missing)}; "
+            "it is a file of another kind"
+        )
     return content
+
+
+def npz_keys(path: str | Path) -> set[str]:
+    """The keys of a `.npz` file, without reading the arrays."""
+    with _archive(path) as archive:
+        return set(archive.files)
+
+
+@contextmanager
+def _archive(path: str | Path) -> Iterator[Any]:
+    try:
+        with open(path, "rb") as stream:
+            if stream.read(2) != b"PK":
+                raise ValueError("it is a file of another kind")
+            stream.seek(0)
+            with np.load(stream, allow_pickle=False) as archive:
+                yield archive
+    # A damaged archive fails as OSError, ValueError, BadZipFile, EOFError, zlib.error, ...
+    except Exception as error:
+        raise ReadError(
+            f"expected a .npz file at {path}, could not read it: {one_line(error)}; "
+            "check the path, or copy the file again"
+        ) from error

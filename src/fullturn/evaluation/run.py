@@ -9,7 +9,7 @@ import os
 import platform
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, fields
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +26,7 @@ from fullturn.evaluation.predict import Prediction, Predictor, pair_hash
 from fullturn.evaluation.score import Score, ScoredPair, summarize
 from fullturn.io.atomic import write_atomic
 from fullturn.methods.registry import get
-from fullturn.workers import run_in_workers
+from fullturn.workers import Crew
 
 FORMAT = 1
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -68,31 +68,24 @@ def evaluate(
         "methods": {name: describe(get(method)) for name, method in names.items()},
         "sets": {},
     }
-    timing: dict[str, Any] = {"machine": _machine(), "sets": {}}
-    for pairs in sets:
-        numbered = list(pairs)
-        hashes = [pair_hash(pair) for pair in numbered]
-        answers = _predictions(
-            pairs.name, numbered, hashes, names, seed=seed, workers=workers, cache=cache,
-            advance=advance, note=note,
-        )  # fmt: skip
-        scored = [
-            ScoredPair(pair, index=index, group=pairs.group(index))
-            for index, pair in enumerate(numbered)
-        ]
-        rows = {
-            name: [pair.score(found) for pair, found in zip(scored, answers[name], strict=True)]
-            for name in names
-        }
-        summary["sets"][pairs.name] = {
-            "description": pairs.description,
-            "count": len(pairs),
-            **_summaries(rows, seed=seed),
-        }
-        timing["sets"][pairs.name] = {name: _times(found) for name, found in answers.items()}
-        write_atomic(out / "pairs" / f"{slug(pairs.name)}.csv", _csv(rows))
-    write_atomic(out / "summary.json", json.dumps(summary, indent=1) + "\n")
-    write_atomic(out / "timing.json", json.dumps(timing, indent=1) + "\n")
+    timing: dict[str, Any] = {"machine": machine(), "sets": {}}
+    files: dict[str, str] = {}
+    with _one_thread_each(), Crew(Predictor(seed), workers=workers) as crew:
+        oracle = _Oracle(names, seed, cache, crew, advance, note)
+        for pairs in sets:
+            answers, rows = _answers_and_rows(pairs, oracle)
+            summary["sets"][pairs.name] = {
+                "description": pairs.description,
+                "count": len(pairs),
+                **_summaries(rows, seed=seed),
+            }
+            timing["sets"][pairs.name] = {name: _times(found) for name, found in answers.items()}
+            files[f"pairs/{slug(pairs.name)}.csv"] = _csv(rows)
+    files["timing.json"] = json.dumps(timing, indent=1) + "\n"
+    files["summary.json"] = json.dumps(summary, indent=1) + "\n"
+    # All at the end: until then, the folder holds the whole of the run before.
+    for name, content in files.items():
+        write_atomic(out / name, content)
     return summary
 
 
@@ -125,56 +118,68 @@ def _checked_names(sets: Sequence[PairSet], methods: Sequence[str]) -> dict[str,
     return names
 
 
-def _predictions(
-    set_name: str,
-    pairs: Sequence[Pair],
-    hashes: Sequence[str],
-    methods: Mapping[str, str],
-    *,
-    seed: int,
-    workers: int,
-    cache: Path,
-    advance: Callable[[int], None],
-    note: Callable[[str], None],
-) -> dict[str, list[Prediction]]:
-    """Every method's answer to every pair; what the cache lacks is computed in workers."""
-    caches, tasks = {}, []
-    for name, method in methods.items():
-        code, _ = fingerprint(get(method))
-        caches[name] = store = PredictionCache(
-            cache / slug(set_name) / f"{slug(name)}-{code[:16]}-{seed}.jsonl"
+def _answers_and_rows(
+    pairs: PairSet, oracle: _Oracle
+) -> tuple[dict[str, list[Prediction]], dict[str, list[Score]]]:
+    """Every method's answers to a set, and their scores."""
+    made = list(pairs)
+    answers = oracle.answers(pairs.name, made)
+    scored = [ScoredPair(pair, index=i, group=pairs.group(i)) for i, pair in enumerate(made)]
+    return answers, {
+        name: [pair.score(one) for pair, one in zip(scored, found, strict=True)]
+        for name, found in answers.items()
+    }
+
+
+@dataclass(frozen=True)
+class _Oracle:
+    """Knows every method's answer to every pair: from the cache, or else from the crew."""
+
+    methods: Mapping[str, str]
+    seed: int
+    folder: Path
+    crew: Crew
+    advance: Callable[[int], None]
+    note: Callable[[str], None]
+
+    def answers(self, set_name: str, pairs: Sequence[Pair]) -> dict[str, list[Prediction]]:
+        """By method, one prediction a pair."""
+        hashes = [pair_hash(pair) for pair in pairs]
+        caches = {name: self._cache(set_name, name) for name in self.methods}
+        tasks: list[tuple[str, int]] = []
+        for name, cache in caches.items():
+            lacking = {h: i for i, h in enumerate(hashes) if h not in cache.found}
+            tasks += [(name, index) for index in lacking.values()]
+            self.advance(len(pairs) - len(lacking))
+
+        def done(number: int, result: Prediction | FullturnError) -> None:
+            name, index = tasks[number]
+            if isinstance(result, FullturnError):
+                # The process died, perhaps of too little memory: tried again by the next run.
+                caches[name].found[hashes[index]] = Prediction(np.eye(4), error=str(result))
+            else:
+                caches[name].add(hashes[index], result)
+            self.advance(1)
+
+        try:
+            if tasks:
+                self.crew.run(((self.methods[name], pairs[index]) for name, index in tasks), done)
+        finally:
+            for cache in caches.values():
+                cache.close()
+        return {name: [cache.found[h] for h in hashes] for name, cache in caches.items()}
+
+    def _cache(self, set_name: str, name: str) -> PredictionCache:
+        code, _ = fingerprint(get(self.methods[name]))
+        cache = PredictionCache(
+            self.folder / slug(set_name) / f"{slug(name)}-{code[:16]}-{self.seed}.jsonl"
         )
-        if store.damaged:
-            note(
-                f"{store.damaged} damaged lines of {store.path} were dropped; their pairs are "
+        if cache.damaged:
+            self.note(
+                f"{cache.damaged} damaged lines of {cache.path} were dropped; their pairs are "
                 "predicted again"
             )
-        lacking = {h: i for i, h in reversed(list(enumerate(hashes))) if h not in store.found}
-        tasks += [(name, index) for index in sorted(lacking.values())]
-        advance(len(pairs) - len(lacking))
-
-    def done(number: int, result: Prediction | FullturnError) -> None:
-        name, index = tasks[number]
-        if isinstance(result, FullturnError):
-            # The process died, perhaps of too little memory: a failure now, tried again next time.
-            caches[name].found[hashes[index]] = Prediction(np.eye(4), error=str(result))
-        else:
-            caches[name].add(hashes[index], result)
-        advance(1)
-
-    try:
-        if tasks:
-            with _one_thread_each():
-                run_in_workers(
-                    Predictor(seed),
-                    ((methods[name], pairs[index]) for name, index in tasks),
-                    workers=min(workers, len(tasks)),
-                    done=done,
-                )
-    finally:
-        for store in caches.values():
-            store.close()
-    return {name: [store.found[h] for h in hashes] for name, store in caches.items()}
+        return cache
 
 
 @contextmanager
@@ -235,7 +240,8 @@ def _cell(value: Any) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-def _machine() -> dict[str, Any]:
+def machine() -> dict[str, Any]:
+    """What times were taken on."""
     processor = platform.processor()
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()

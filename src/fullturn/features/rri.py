@@ -73,12 +73,25 @@ def _tangent(axis: Tensor, d: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _turn_to_next(angle: Tensor, valid: Tensor) -> Tensor:
-    """Gap from each angle to the next one in a full turn, in O(k log k)."""
+    """Gap from each angle to the next greater one in a full turn, in O(k log k).
+
+    Angles that differ by rounding are one: each of them has the gap to the next of another
+    direction, so that points in a row as seen from their neighbor give no gap of 0 in one pose and
+    none in another. 0 where there is no other direction.
+    """
+    same = 1024 * torch.finfo(angle.dtype).eps
     ordered, order = torch.where(valid, angle, math.inf).sort(dim=-1, stable=True)
-    last = valid.sum(-1, keepdim=True) - 1
-    following = ordered.roll(-1, dims=-1)
     place = torch.arange(angle.shape[-1], device=angle.device)
-    following = torch.where(place == last, ordered[..., :1] + 2 * math.pi, following)
-    has_other = (place <= last) & (last >= 1)
+    last = valid.sum(-1, keepdim=True) - 1
+    first = ordered[..., :1]
+    following = torch.where(place == last, first + 2 * math.pi, ordered.roll(-1, dims=-1))
+    # Of each angle, the place where its direction ends in the sorted list.
+    ends = torch.where(following - ordered <= same, angle.shape[-1], place)
+    end = ends.flip(-1).cummin(-1).values.flip(-1)
+    # The list is a circle: a direction that runs over its end ends where the first one does.
+    around = end == angle.shape[-1]
+    end = torch.where(around, end[..., :1], end).clamp_max(angle.shape[-1] - 1)
+    following = following.gather(-1, end) + torch.where(around, 2 * math.pi, 0.0)
+    has_other = (place <= last) & (end[..., :1] < last)
     gap = torch.where(has_other, following - ordered, 0.0)
     return torch.zeros_like(gap).scatter_(-1, order, gap)

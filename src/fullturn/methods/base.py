@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, ClassVar
+from dataclasses import asdict, dataclass, field
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float
@@ -22,25 +22,38 @@ class Traits:
     """What a method can't do. The contract test expects the matching clause to fail."""
 
     local: bool = False  # needs the two clouds roughly aligned: fails equivariance (clause 3)
+    whole: bool = False  # needs the same part of the object in both: fails on partial ones (0)
 
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """A method's answer in normalised lengths: distinct poses, the best first."""
+    """A method's answer in normalized lengths: distinct poses, the best first."""
 
     T_target_source: Float[Tensor, "k 4 4"]  # float64, at least one
-    success_probability: Float[Tensor, " k"]  # of each pose; they sum to at most 1
+    # Of each pose, summing to at most 1. None: the method states none, and whoever asks for one
+    # gets the verdict of the default method, which knows no poses but these.
+    success_probability: Float[Tensor, " k"] | None = None
     symmetry: CloudSymmetry | None = None
     seconds: Mapping[str, float] = field(default_factory=dict)  # wall-clock, per stage
 
 
 class Method(ABC):
-    """Subclasses are final: one method, one class, registered in `methods/registry.py`."""
+    """Subclasses are final: one method, one class, made without arguments.
+
+    Ours are registered in `methods/registry.py`; anybody's own is asked for as "file.py:Class".
+    """
 
     name: ClassVar[str]
     summary: ClassVar[str]  # one line for `fullturn methods`
     reference: ClassVar[str]  # where it comes from
     traits: ClassVar[Traits] = Traits()
+    needs: ClassVar[tuple[str, ...]] = ()  # optional packages, by the names they import under
+
+    @classmethod
+    def settings(cls) -> dict[str, Any]:
+        """What the method was told, as JSON can hold it: its `config`, where it has one."""
+        config = getattr(cls, "config", None)
+        return {} if config is None else asdict(config)
 
     @abstractmethod
     def estimate(self, source: Cloud, target: Cloud, *, rng: np.random.Generator) -> Estimate:

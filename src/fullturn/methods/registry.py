@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from importlib import import_module
+from importlib import import_module, util
 from typing import TYPE_CHECKING
 
 from fullturn.errors import InputError
+from fullturn.methods.own import own_method
 
 if TYPE_CHECKING:
     from fullturn.methods.base import Method
@@ -17,7 +18,13 @@ _HOMES = {
     "consensus": ("fullturn.methods.consensus", "Consensus"),
     "icp-point": ("fullturn.methods.classical.icp", "IcpPoint"),
     "icp-plane": ("fullturn.methods.classical.icp", "IcpPlane"),
+    "gicp": ("fullturn.methods.external.gicp", "Gicp"),
+    "ransac": ("fullturn.methods.external.ransac", "Ransac"),
+    "ransac-4m": ("fullturn.methods.external.ransac", "Ransac4M"),
+    "fgr": ("fullturn.methods.external.fgr", "Fgr"),
+    "kiss": ("fullturn.methods.external.kiss", "Kiss"),
 }
+_ALIASES = {"auto": DEFAULT, "icp": "icp-plane"}
 
 
 @dataclass(frozen=True)
@@ -28,27 +35,40 @@ class MethodInfo:
     summary: str
     reference: str
     local: bool  # needs the two clouds roughly aligned
+    missing: tuple[str, ...]  # optional packages that it needs and that aren't installed
 
 
 def names() -> tuple[str, ...]:
-    """The names of all methods, the default one first; imports none of them."""
+    """The names of all registered methods, the default one first; imports none of them."""
     return tuple(_HOMES)
 
 
 def get(name: str) -> type[Method]:
-    """The class of a method; "auto" is the default one.
+    """The class of a method.
+
+    Names: those registered; "auto", the default one; "icp", the better one of ICP; and one's own,
+    "file.py:Class" or "package.module:Class".
 
     Raises:
-        InputError: no method has this name.
+        InputError: no method has this name, or one's own cannot be had.
     """
-    home = _HOMES.get(DEFAULT if name == "auto" else name) if isinstance(name, str) else None
+    if isinstance(name, str) and (":" in name or name.endswith(".py")):
+        return own_method(name)
+    home = _HOMES.get(_ALIASES.get(name, name)) if isinstance(name, str) else None
     if home is None:
-        raise InputError(f"method: expected auto, {', '.join(_HOMES)}; got {name!r}")
+        known = ", ".join((*_ALIASES, *_HOMES))
+        raise InputError(
+            f"method: expected {known}, or your own as file.py:Class; got {name!r:.200}"
+        )
     found: type[Method] = getattr(import_module(home[0]), home[1])
     return found
 
 
 def methods() -> tuple[MethodInfo, ...]:
     """What each registered method is, the default one first."""
-    classes = [get(name) for name in names()]
-    return tuple(MethodInfo(c.name, c.summary, c.reference, c.traits.local) for c in classes)
+    return tuple(_info(get(name)) for name in names())
+
+
+def _info(method: type[Method]) -> MethodInfo:
+    missing = tuple(package for package in method.needs if util.find_spec(package) is None)
+    return MethodInfo(method.name, method.summary, method.reference, method.traits.local, missing)

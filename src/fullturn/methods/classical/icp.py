@@ -18,8 +18,6 @@ from fullturn.geometry.normals import estimate_normals
 from fullturn.geometry.sampling import point_spacing, voxel_sample
 from fullturn.methods.base import Estimate, Method, Traits
 from fullturn.pose.kabsch import weighted_kabsch
-from fullturn.pose.search import measure_pose
-from fullturn.pose.verdict import judge
 
 
 @dataclass(frozen=True)
@@ -53,8 +51,9 @@ class _Icp(Method):
     3. Weights: Geman-McClure of the residual, w = (s²/(s² + r²))², zero beyond the gate.
     4. Step: weighted Kabsch, or Gauss-Newton on the distances to the partners' planes.
     5. The scale s shrinks from coarse to 1.48 times the median residual.
-    6. The verdict of the default method gives the probability. ICP sees no rivals: poses that fit
-       as well, as those of a symmetric shape do, take nothing off it.
+
+    It states no probability: it sees no rivals, so poses that fit as well, as those of a symmetric
+    shape do, would take nothing off it.
     """
 
     traits = Traits(local=True)
@@ -66,12 +65,9 @@ class _Icp(Method):
         source_side, target_side = (self._side(cloud.points) for cloud in (source, target))
         prepared = time.perf_counter()
         T_target_source = _align(source_side, target_side, self.config)
-        found = T_target_source.unsqueeze(0)
-        judged = judge(found, measure_pose(source, target, T_target_source))
         end = time.perf_counter()
         return Estimate(
-            T_target_source=found,
-            success_probability=found.new_tensor(judged.probability),
+            T_target_source=T_target_source.unsqueeze(0),
             seconds={"prepare": prepared - begin, "align": end - prepared},
         )
 

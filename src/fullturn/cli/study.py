@@ -1,0 +1,77 @@
+"""`fullturn study NAME`: repeat a study of the paper on any shapes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+STUDIES = ("robustness",)
+
+
+def study(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Which study: robustness.")],
+    shapes: Annotated[
+        str,
+        typer.Option(
+            metavar="SPEC",
+            help="FILE.npz[:PART], a folder of meshes, or procedural[:COUNT[:SEED]].",
+        ),
+    ],
+    out: Annotated[Path, typer.Option(help="Folder for what is written; made if missing.")],
+    count: Annotated[
+        int, typer.Option(min=1, help="Shapes, evenly spread where there are more.")
+    ] = 100,
+    seed: Annotated[int, typer.Option(min=0, help="The same seed gives the same numbers.")] = 0,
+    neighbors: Annotated[int, typer.Option(min=2, help="Per point, itself included.")] = 8,
+    jitter: Annotated[
+        float,
+        typer.Option(
+            min=0.0, help="Noise on what is read, in its unit; 1e-5 parts points on a lattice."
+        ),
+    ] = 0.0,
+) -> None:
+    """Measure how handcrafted features change under rotation, translation and noise.
+
+    Writes robustness.csv, and robustness.png where matplotlib is installed.
+    """
+    if name not in STUDIES:
+        raise typer.BadParameter(f"NAME: expected one of {', '.join(STUDIES)}; got {name!r}")
+
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from fullturn.data.open import open_shapes
+    from fullturn.errors import DependencyError, WriteError
+    from fullturn.evaluation.robustness import StudyConfig, by_panel, study_robustness, to_csv
+    from fullturn.io.atomic import write_atomic
+    from fullturn.viz.robustness import save_robustness
+
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise WriteError(
+            f"cannot make the folder {out}: {error.strerror}; choose another one with --out"
+        ) from error
+
+    source = open_shapes(shapes)
+    config = StudyConfig(neighbors=neighbors, jitter=jitter)
+    total = min(count, len(source))
+    with Progress(console=Console(stderr=True)) as progress:
+        task = progress.add_task("shapes", total=total)
+        rows = study_robustness(
+            source,
+            count=count,
+            seed=seed,
+            config=config,
+            on_shape=lambda number, _: progress.update(task, completed=number),
+        )
+    write_atomic(out / "robustness.csv", to_csv(rows))
+    typer.echo(f"{total} shapes: {out / 'robustness.csv'}")
+    try:
+        save_robustness(out / "robustness.png", by_panel(rows))
+    except DependencyError as error:
+        typer.echo(f"No picture was drawn: {error}")
+    else:
+        typer.echo(f"The picture: {out / 'robustness.png'}")

@@ -1,0 +1,23 @@
+"""Other libraries' poses, made rigid."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+
+def rigid_or(
+    T_target_source: Float[np.ndarray, "4 4"], T_otherwise: Float[np.ndarray, "4 4"]
+) -> Float[np.ndarray, "4 4"]:
+    """The pose with its rotation made one to the last digit; the other one where it isn't finite.
+
+    Libraries return rotations in float32, or the NaN of a singular system.
+    """
+    for T in (T_target_source, T_otherwise):
+        if np.isfinite(T).all():
+            left, _, right = np.linalg.svd(T[:3, :3])
+            found = np.eye(4)
+            found[:3, :3] = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
+            found[:3, 3] = T[:3, 3]
+            return found
+    return np.eye(4)

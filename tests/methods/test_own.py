@@ -1,0 +1,115 @@
+"""One's own methods by file or module, and what is said where they can't be had."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import fullturn
+from fullturn.errors import InputError
+from fullturn.methods.registry import get
+
+GOOD = """
+from __future__ import annotations
+from dataclasses import dataclass, field
+import torch
+from fullturn.methods.base import Estimate, Method
+
+@dataclass
+class Settings:
+    turns: list[int] = field(default_factory=list)
+
+class Base(Method):
+    name, summary, reference = "base", "one", "none"
+
+class Identity(Base):
+    name = "identity"
+    config = Settings([1, 2])
+    def estimate(self, source, target, *, rng):
+        return Estimate(torch.eye(4)[None])
+
+class Other: ...
+class Nameless(Method):
+    def estimate(self, source, target, *, rng): ...
+value = 3
+"""
+CLOUD = np.random.default_rng(0).normal(size=(60, 3))
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    path = tmp_path / "mine.py"
+    path.write_text(GOOD)
+    return path
+
+
+def test_a_file_gives_its_class(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    method = get(f"{file}:Identity")
+    assert method.name == "identity"
+    assert method.settings() == {"turns": [1, 2]}
+    assert get(f"{file}:Identity") is method
+    result = fullturn.register(CLOUD, CLOUD + 4, method=f"{file}:Identity")
+    np.testing.assert_allclose(result.T_target_source[:3, 3], 4.0)
+    assert result.method == "identity"
+    monkeypatch.chdir(file.parent)
+    assert get("mine.py:Identity") is method
+
+
+def test_a_changed_file_is_run_again(file: Path) -> None:
+    before = get(f"{file}:Identity")
+    file.write_text(GOOD.replace('"identity"', '"changed"'))
+    os.utime(file, ns=(1, 1))
+    assert (before.name, get(f"{file}:Identity").name) == ("identity", "changed")
+
+
+def test_a_module_gives_its_class(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(file.parent))
+    assert get("mine:Identity").name == "identity"
+    assert get("fullturn.methods.consensus:Consensus") is get("auto")
+    del sys.modules["mine"]
+
+
+def test_workers_find_it_too(file: Path) -> None:
+    results = fullturn.register_many([(CLOUD, CLOUD)] * 2, method=f"{file}:Identity", workers=2)
+    assert [type(r).__name__ for r in results] == ["Registration"] * 2
+
+
+@pytest.mark.parametrize(
+    ("place", "message"),
+    [
+        ("mine.py", "expected file.py:Class or package.module:Class, got 'mine.py'"),
+        ("mine.py:", "expected file.py:Class"),
+        (":Identity", "expected file.py:Class"),
+        ("mine.py:not a name", "expected file.py:Class"),
+        ("missing.py:Identity", "expected a Python file missing.py, there is none"),
+        ("mine.py:Missing", "expected a class Missing in mine.py, found none"),
+        ("mine.py:Other", "to be a subclass of fullturn.methods.base.Method, got another class"),
+        ("mine.py:value", "got a int"),
+        ("mine.py:Base", r"to define estimate\(\), it does not"),
+        ("mine.py:Nameless", "to have the strings name, summary, reference"),
+        ("broken.py:Identity", "broken.py cannot be imported: ZeroDivisionError: division by zero"),
+        ("typo.py:Identity", "typo.py cannot be imported: SyntaxError"),
+        ("leaves.py:Identity", "leaves.py cannot be imported: SystemExit: 3"),
+        ("needs.py:Identity", "cannot be imported: ModuleNotFoundError: No module named 'nowhere'"),
+        ("nowhere.at.all:Identity", "expected an installed module nowhere.at.all, there is none"),
+        ("json:Identity", "expected a class Identity in json, found none"),
+        ("..:Identity", ".. cannot be imported: TypeError"),
+    ],
+)
+def test_what_cannot_be_had_is_named(
+    place: str, message: str, file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(file.parent)
+    Path("broken.py").write_text("1 / 0\n")
+    Path("typo.py").write_text("class Identity\n")
+    Path("leaves.py").write_text("raise SystemExit(3)\n")
+    Path("needs.py").write_text("import nowhere\n")
+    loaded = set(sys.modules)
+    with pytest.raises(InputError, match=rf"^method: .*{message}") as caught:
+        get(place)
+    assert "\n" not in str(caught.value)
+    assert not any("broken" in name for name in set(sys.modules) - loaded)
