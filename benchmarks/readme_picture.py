@@ -24,7 +24,6 @@ from fullturn.data.motion import ball_translation, invert, move, rigid, uniform_
 from fullturn.evaluation.metrics import rotation_error_deg
 from fullturn.viz.figures import draw_figure
 from fullturn.viz.tables import probability
-from real_scans import read_scan
 
 DPI = 110
 COLORS = 128  # of the palette: a third of the bytes, and no difference to be seen
@@ -36,7 +35,7 @@ def draw(folder: Path, names: tuple[str, str], *, seed: int) -> bytes:
     poses = json.loads((folder / "poses.json").read_text())
     clouds, T_world_cloud = [], []
     for name in names:
-        scan = read_scan(folder / name)
+        scan = fullturn.load_cloud(folder / name).points
         size = float(np.ptp(scan, axis=0).max())
         T_cloud_scan = rigid(uniform_rotation(rng), ball_translation(rng, max_length=size))
         clouds.append(move(T_cloud_scan, scan))

@@ -186,3 +186,12 @@ def test_named_protocols_must_be_served() -> None:
         protocol_pairs([], stored, count=1)
     with pytest.raises(InputError, match="at least 1 pair"):
         protocol_pairs(["all"], stored, count=0)
+
+
+def test_the_mixture_is_asked_for_by_name_and_needs_meshes() -> None:
+    (mixture,), left_out = protocol_pairs(["mixture"], ProceduralShapes(3), count=2, seed=0)
+    assert (mixture.name, len(mixture), left_out) == ("mixture", 2, [])
+    sets, _ = protocol_pairs(["all"], ProceduralShapes(3), count=2, seed=0)
+    assert "mixture" not in [one.name for one in sets]
+    with pytest.raises(InputError, match="mixture needs meshes"):
+        protocol_pairs(["mixture"], ModelNetSubset("modelnet.npz"), count=2, seed=0)

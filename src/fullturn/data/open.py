@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from fullturn.data.frozen import FrozenPairs
+from fullturn.data.mixture import MixedPairs
 from fullturn.data.official import ModelNet40Hdf5, OfficialModelNet40
 from fullturn.data.pair_set import PairSet
 from fullturn.data.protocols import PROTOCOLS, ProtocolPairs
@@ -14,6 +15,7 @@ from fullturn.data.shapes import (
     PACK_KEYS,
     MeshFolder,
     MeshPack,
+    MeshSource,
     ProceduralShapes,
     ShapeSource,
     npz_keys,
@@ -105,24 +107,30 @@ def protocol_pairs(
 ) -> tuple[list[PairSet], list[str]]:
     """One set per protocol, and one line per protocol that was left out, with the reason.
 
-    "all" among the names stands for every protocol that the shapes can serve.
+    "all" among the names stands for every protocol that the shapes can serve; "mixture" is not one
+    of them, but `MixedPairs`.
 
     Raises:
         InputError: an unknown name, or one named outright that the shapes can't serve.
     """
+    known = ("all", *PROTOCOLS, MixedPairs.name)
     if not names:
-        raise InputError(f"expected at least one protocol out of all, {', '.join(PROTOCOLS)}")
-    unknown = sorted(set(names) - PROTOCOLS.keys() - {"all"})
+        raise InputError(f"expected at least one protocol out of {', '.join(known)}")
+    unknown = sorted(set(names) - set(known))
     if unknown:
         raise InputError(
-            f"expected protocols out of all, {', '.join(PROTOCOLS)}; got {', '.join(unknown)}; "
+            f"expected protocols out of {', '.join(known)}; got {', '.join(unknown)}; "
             "choose among these"
         )
+    asked = dict.fromkeys(names)
+    if "all" in asked:
+        asked = {**dict.fromkeys(PROTOCOLS), **asked}
+        del asked["all"]
     sets: list[PairSet] = []
     left_out: list[str] = []
-    for name in PROTOCOLS if "all" in names else dict.fromkeys(names):
+    for name in asked:
         try:
-            sets.append(ProtocolPairs(PROTOCOLS[name], shapes, count=count, seed=seed))
+            sets.append(_drawn(name, shapes, count=count, seed=seed))
         except InputError as error:
             if name in names or count < 1:
                 raise
@@ -132,6 +140,14 @@ def protocol_pairs(
             "expected shapes that can serve a protocol, got none that do: " + " | ".join(left_out)
         )
     return sets, left_out
+
+
+def _drawn(name: str, shapes: ShapeSource, *, count: int, seed: int) -> PairSet:
+    if name in PROTOCOLS:
+        return ProtocolPairs(PROTOCOLS[name], shapes, count=count, seed=seed)
+    if not isinstance(shapes, MeshSource):
+        raise InputError(f"{name} needs meshes, got stored point samples; pass other shapes")
+    return MixedPairs(shapes, count=count, seed=seed)
 
 
 def find(path: str, *, expected: str) -> Path:

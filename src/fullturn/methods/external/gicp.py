@@ -17,7 +17,7 @@ from fullturn.methods.external.align import align, thinned
 class GicpConfig:
     """Lengths are normalized (1 is the cloud's radius)."""
 
-    most_points: int = 20_000  # larger clouds are thinned on a grid
+    most_points: int = 5000  # larger clouds are thinned on a grid
     voxel: float = 0.02  # of that grid
     distance: float = 1.0  # between partners, at most
     rounds: int = 100
