@@ -4,7 +4,7 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test lint types format clean
+.PHONY: demo test lint types format results clean
 
 demo: $(VENV)/.installed
 	$(BIN)/fullturn demo --out demo_output
@@ -22,6 +22,20 @@ types: $(VENV)/.installed
 format: $(VENV)/.installed
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
+
+# Everything in results/ and the numbers of the README, again. Needs `pip install ".[baselines]"` and
+# DATA, the folder of the data packs; goes on where it was interrupted.
+results: $(VENV)/.installed
+	$(BIN)/fullturn evaluate --out results/modelnet --method consensus icp gicp ransac fgr kiss \
+		--protocol all --shapes $(DATA)/modelnet40_subset.npz:dev_eval
+	$(BIN)/fullturn evaluate --out results/scans --method consensus icp gicp ransac fgr kiss \
+		--pairs $(DATA)/stanford_scans
+	$(BIN)/fullturn evaluate --out results/calibration --method consensus \
+		--protocol mixture --shapes procedural:100000:1000 --count 600 --seed 1000
+	for run in modelnet scans calibration; do \
+		$(BIN)/fullturn table results/$$run --out results/$$run || exit 1; done
+	$(BIN)/python benchmarks/speed.py
+	$(BIN)/python benchmarks/readme.py
 
 # The file marks a finished installation, so that the second run is quick and a broken one repeats.
 $(VENV)/.installed: pyproject.toml constraints.txt

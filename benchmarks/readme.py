@@ -11,9 +11,10 @@ from __future__ import annotations
 import argparse
 import json
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from fullturn.evaluation import paper
 from fullturn.evaluation.folders import MethodResult, SetResult, read_runs
@@ -195,7 +196,7 @@ def narrow_cell(found: MethodResult | None) -> str:
     return f"{summary['mean_deg']:.2f}°, {percent(summary['recall_5deg'])}"
 
 
-def shares_right(summary: dict) -> float:
+def shares_right(summary: Mapping[str, Any]) -> float:
     """The share of all pairs that is right; of unrelated ones, no answer is."""
     return summary["success"] * (1.0 - summary["unrelated"] / summary["n"])
 

@@ -10,7 +10,8 @@ from jaxtyping import config, install_import_hook
 
 ROOMS = (
     *("geometry", "features", "matching", "pose", "normalize", "data", "evaluation"),
-    *("methods.consensus", "methods.classical"),
+    *("methods.consensus", "methods.classical", "methods.external"),
+    *("methods.check", "methods.own"),
 )
 
 # The front door, the files and the command line answer wrong types themselves, by named errors.

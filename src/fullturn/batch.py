@@ -47,10 +47,11 @@ def register_many(
 
     Raises:
         InputError: `pairs`, `method`, `seed` or `workers` cannot be used at all.
+        DependencyError: the method's package is missing.
         FullturnError: worker processes cannot start.
         RegistrationInterrupted: Ctrl-C; it carries the finished results.
     """
-    get(method)
+    get(method)()  # says now, and not once per pair, that a package is missing
     check_seed(seed)
     if isinstance(pairs, (str, bytes)) or not isinstance(pairs, Iterable):
         raise InputError(
