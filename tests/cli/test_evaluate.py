@@ -69,9 +69,9 @@ def test_wrong_usage(tmp_path: Path, arguments: list[str], told: str) -> None:
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["--method", "nonsense", "--protocol", "rpmnet/45", "--shapes", "procedural"], "consensus"),
-        (["--method", "icp", "--protocol", "nonsense", "--shapes", "procedural"], "rpmnet/45"),
-        (["--method", "icp", "--protocol", "rpmnet/45", "--shapes", "nonsense"], "procedural"),
+        (["--method", "none", "--protocol", "rpmnet/45", "--shapes", "procedural"], "consensus"),
+        (["--method", "icp", "--protocol", "none", "--shapes", "procedural"], "rpmnet/45"),
+        (["--method", "icp", "--protocol", "rpmnet/45", "--shapes", "none"], "procedural"),
         (["--method", "icp", "--pairs", "nonsense.npz"], "nonsense.npz"),
     ],
 )

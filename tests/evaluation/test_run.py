@@ -58,7 +58,9 @@ def test_a_run_writes_rows_summaries_and_times(tmp_path: Path) -> None:
     assert sum(advanced) == 8
     timing = json.loads((tmp_path / "run" / "timing.json").read_text())
     assert timing["machine"]["threads"] == 1
-    assert timing["sets"]["listed/pairs"]["truth"]["cpu_seconds_mean"] > 0
+    times = timing["sets"]["listed/pairs"]["truth"]
+    assert times["cpu_seconds_mean"] > 0
+    assert sorted(times["groups"]) == ["even", "odd"]
 
 
 def test_failures_are_rows_with_their_reason(tmp_path: Path) -> None:

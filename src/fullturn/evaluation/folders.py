@@ -72,10 +72,12 @@ def read_runs(folders: Sequence[Path]) -> list[SetResult]:
                 cpu = seconds.get(method, {}).get("cpu_seconds_median")
                 known.methods[method] = MethodResult(summary, content["seed"], folder, cpu)
             for group, methods in part.get("groups", {}).items():
-                known.groups.setdefault(group, {}).update(
-                    (method, MethodResult(summary, content["seed"], folder))
-                    for method, summary in methods.items()
-                )
+                for method, summary in methods.items():
+                    times = seconds.get(method, {}).get("groups", {}).get(group, {})
+                    cpu = times.get("cpu_seconds_median")
+                    known.groups.setdefault(group, {})[method] = MethodResult(
+                        summary, content["seed"], folder, cpu
+                    )
     return list(sets.values())
 
 

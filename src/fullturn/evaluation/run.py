@@ -79,7 +79,10 @@ def evaluate(
                 "count": len(pairs),
                 **_summaries(rows, seed=seed),
             }
-            timing["sets"][pairs.name] = {name: _times(found) for name, found in answers.items()}
+            groups = [pairs.group(index) for index in range(len(pairs))]
+            timing["sets"][pairs.name] = {
+                name: _times_by_group(found, groups) for name, found in answers.items()
+            }
             files[f"pairs/{slug(pairs.name)}.csv"] = _csv(rows)
     files["timing.json"] = json.dumps(timing, indent=1) + "\n"
     files["summary.json"] = json.dumps(summary, indent=1) + "\n"
@@ -212,7 +215,17 @@ def _summaries(rows: Mapping[str, Sequence[Score]], *, seed: int) -> dict[str, A
     return part
 
 
-def _times(answers: Sequence[Prediction]) -> dict[str, float]:
+def _times_by_group(answers: Sequence[Prediction], groups: Sequence[str]) -> dict[str, Any]:
+    times: dict[str, Any] = _times(answers)
+    if named := sorted(set(groups) - {""}):
+        times["groups"] = {
+            name: _times([a for a, group in zip(answers, groups, strict=True) if group == name])
+            for name in named
+        }
+    return times
+
+
+def _times(answers: Sequence[Prediction]) -> dict[str, Any]:
     cpu = np.array([answer.cpu_seconds for answer in answers])
     wall = np.array([answer.wall_seconds for answer in answers])
     return {
