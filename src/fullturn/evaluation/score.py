@@ -100,29 +100,30 @@ def summarize(rows: Sequence[Score], *, seed: int) -> dict[str, Any]:
 
 
 def _accuracy(rows: Sequence[Score], *, rng: np.random.Generator) -> dict[str, Any]:
+    """Errors and shares; means, and the shares that are quoted most, with 95 % intervals."""
     failed = np.array([row.error is not None for row in rows])
+    summary: dict[str, Any] = {}
+
+    def mean(name: str, values: Float[np.ndarray, "n"]) -> None:
+        summary[name] = float(values.mean())
+        summary[f"{name}_interval"] = metrics.bootstrap_interval(values, rng)
+
     angle = _column(rows, "rotation_error_deg")
+    mean("mean_deg", angle)
+    summary["median_deg"] = float(np.median(angle))
     # A failure is no success at any threshold, though the identity may be near the truth.
-    angle_of_answer = np.where(failed, np.inf, angle)
-    geometric = _column(rows, "geometric_success")
-    summary: dict[str, Any] = {
-        "mean_deg": float(angle.mean()),
-        "mean_deg_interval": metrics.bootstrap_interval(angle, rng),
-        "median_deg": float(np.median(angle)),
-    }
-    for threshold in (0.1, 1, 5, 10):
-        summary[f"recall_{threshold}deg"] = metrics.recall(angle_of_answer, threshold)
-    summary["recall_5deg_interval"] = metrics.bootstrap_interval(angle_of_answer < 5.0, rng)
+    within = np.where(failed, np.inf, angle)
+    for threshold in (0.1, 1, 10):
+        summary[f"recall_{threshold}deg"] = metrics.recall(within, threshold)
+    mean("recall_5deg", (within < 5.0).astype(np.float64))
     distance = np.where(failed, np.inf, _column(rows, "mean_point_distance"))
     summary["recall_0.1_distance"] = metrics.recall(distance, 0.1)
     for key in ("translation_error", *_DISTANCES):
         values = _column(rows, key)
-        summary[f"mean_{key}"] = float(values.mean())
+        mean(f"mean_{key}", values)
         summary[f"median_{key}"] = float(np.median(values))
-    summary["success"] = float(_column(rows, "success").mean())
-    summary["any_success"] = float(_column(rows, "any_success").mean())
-    summary["geometric_success"] = float(geometric.mean())
-    summary["geometric_success_interval"] = metrics.bootstrap_interval(geometric, rng)
+    for key in ("success", "any_success", "geometric_success"):
+        mean(key, _column(rows, key))
     return summary
 
 
