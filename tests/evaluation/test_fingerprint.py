@@ -1,5 +1,8 @@
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import fullturn
@@ -37,8 +40,25 @@ def test_the_closure_is_what_the_answer_depends_on() -> None:
 
 def test_versions_are_named_and_count() -> None:
     code, versions = fingerprint(get("icp-point"))
-    assert {"torch", "numpy"} <= set(versions)
+    assert {"torch", "numpy", "small_gicp"} <= set(versions)
     assert fingerprint(get("icp-point"))[0] == code != fingerprint(get("icp-plane"))[0]
+
+
+def test_every_process_says_the_same() -> None:
+    script = (
+        "from fullturn.evaluation.fingerprint import fingerprint\n"
+        "from fullturn.methods.registry import get\n"
+        "print(fingerprint(get('consensus'))[0])"
+    )
+    found = {
+        subprocess.run(
+            [sys.executable, "-c", script],
+            env={**os.environ, "PYTHONHASHSEED": seed},
+            capture_output=True, text=True, check=True,
+        ).stdout.strip()
+        for seed in ("1", "2", "3")
+    }  # fmt: skip
+    assert found == {fingerprint(get("consensus"))[0]}
 
 
 def test_a_changed_package_is_another_method(monkeypatch) -> None:

@@ -26,17 +26,12 @@ def fingerprint(method: type[Method]) -> tuple[str, dict[str, str]]:
     seen.
     """
     files, packages = _closure(method)
-    digest = hashlib.sha256(method.__qualname__.encode())
-    for path in sorted(files, key=lambda path: path.name):
-        digest.update(path.name.encode())
-        digest.update(path.read_bytes())
-    owners = _distributions()
-    versions = {
-        owner: metadata.version(owner)
-        for owner in sorted({o for package in packages for o in owners.get(package, ())})
-    }
-    digest.update(repr(versions).encode())
-    return digest.hexdigest(), versions
+    packages |= set(method.needs)  # imported by name, when the method is made
+    # By name and content: where the files lie, and in which order a set holds them, is nothing.
+    lines = sorted(f"{path.name} {hashlib.sha256(path.read_bytes()).hexdigest()}" for path in files)
+    versions = {owner: metadata.version(owner) for owner in sorted(_owners(packages))}
+    content = (method.__qualname__, *lines, repr(versions))
+    return hashlib.sha256("\n".join(content).encode()).hexdigest(), versions
 
 
 def _closure(method: type[Method]) -> tuple[set[Path], set[str]]:
@@ -78,6 +73,22 @@ def _module_file(name: str) -> list[Path]:
     if spec is None or spec.origin is None or not spec.origin.endswith(".py"):
         return []
     return [Path(spec.origin)]
+
+
+def _owners(packages: set[str]) -> set[str]:
+    """The installed distributions that packages come from."""
+    known = _distributions()
+    # A package that is one binary file isn't listed, but most are called as what they hold.
+    owners = {owner for package in packages for owner in known.get(package, [package])}
+    return {owner for owner in owners if _is_installed(owner)}
+
+
+def _is_installed(distribution: str) -> bool:
+    try:
+        metadata.version(distribution)
+    except metadata.PackageNotFoundError:
+        return False
+    return True
 
 
 @cache
