@@ -9,7 +9,8 @@ import pytest
 from jaxtyping import config, install_import_hook
 
 ROOMS = (
-    *("geometry", "features", "matching", "pose", "normalize", "data", "evaluation"),
+    *("geometry", "features", "nn", "matching", "pose", "normalize", "data", "training"),
+    "evaluation",
     *("methods.consensus", "methods.classical", "methods.external"),
     *("methods.check", "methods.own"),
 )
