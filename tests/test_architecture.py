@@ -14,8 +14,8 @@ SOURCE = Path(__file__).parents[1] / "src" / "fullturn"
 FILES = sorted(SOURCE.rglob("*.py"))
 
 # A room imports itself, rooms to its left and the foundation.
-ORDER = ["geometry", "features", "matching", "pose", "methods"]
-ORDER += ["io", "data", "viz", "api", "evaluation", "cli"]
+ORDER = ["geometry", "features", "nn", "matching", "pose", "methods"]
+ORDER += ["io", "data", "viz", "api", "training", "evaluation", "cli"]
 FOUNDATION = {"__init__", "errors", "result"}
 # The front door is more than one file.
 PART_OF = dict.fromkeys(["batch", "normalize", "progress", "threads", "workers"], "api")

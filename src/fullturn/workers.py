@@ -158,10 +158,11 @@ class _Worker:
 def _serve(pipe: Connection, work: Callable[[Any], Any]) -> None:
     # Ctrl-C reaches the whole group; the parent decides what becomes of its workers.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    pipe.send("ready")
+    answer: Any = "ready"
     while True:
         try:
+            pipe.send(answer)
             task = pipe.recv()
-        except EOFError:
-            return
-        pipe.send(work(task))
+        except (EOFError, BrokenPipeError):
+            return  # the parent is gone, or has let go
+        answer = work(task)

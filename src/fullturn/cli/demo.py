@@ -30,18 +30,14 @@ def demo(
     from fullturn.cli.render import print_table
     from fullturn.data.procedural import dog
     from fullturn.data.scan import scan_pair
-    from fullturn.errors import DependencyError, WriteError
+    from fullturn.errors import DependencyError
     from fullturn.evaluation.metrics import mean_point_distance, rotation_error_deg
     from fullturn.io import save_cloud, write_transform
+    from fullturn.io.atomic import make_folder
     from fullturn.viz.figures import save_figure
     from fullturn.viz.report import write_report
 
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise WriteError(
-            f"cannot make the folder {out}: {error.strerror}; choose another one with --out"
-        ) from error
+    make_folder(out)
 
     typer.echo(f"Two scans of a {OBJECT_NAME}, {points:,} points each, from two sides, any pose …")
     pair = scan_pair(

@@ -21,6 +21,7 @@ _VERBS = {
     "table": "fullturn.cli.table",
     "study": "fullturn.cli.study",
     "freeze": "fullturn.cli.freeze",
+    "train": "fullturn.cli.train",
 }
 
 

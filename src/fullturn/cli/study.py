@@ -43,17 +43,12 @@ def study(
     from rich.progress import Progress
 
     from fullturn.data.open import open_shapes
-    from fullturn.errors import DependencyError, WriteError
+    from fullturn.errors import DependencyError
     from fullturn.evaluation.robustness import StudyConfig, by_panel, study_robustness, to_csv
-    from fullturn.io.atomic import write_atomic
+    from fullturn.io.atomic import make_folder, write_atomic
     from fullturn.viz.robustness import save_robustness
 
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise WriteError(
-            f"cannot make the folder {out}: {error.strerror}; choose another one with --out"
-        ) from error
+    make_folder(out)
 
     source = open_shapes(shapes)
     config = StudyConfig(neighbors=neighbors, jitter=jitter)

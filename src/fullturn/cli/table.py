@@ -19,23 +19,18 @@ def table(
     Writes tables.md, tables.tex, report.html, curves.png and risk_coverage.png.
     """
     from fullturn.cli.render import print_results
-    from fullturn.errors import DependencyError, WriteError
+    from fullturn.errors import DependencyError
     from fullturn.evaluation.folders import read_runs
     from fullturn.evaluation.layout import LATEX_HEAD, latex, markdown_section
     from fullturn.evaluation.page import render_page
     from fullturn.evaluation.paper_layout import paper_layout
     from fullturn.evaluation.pictures import draw_pictures
     from fullturn.evaluation.tables import full_tables, main_table
-    from fullturn.io.atomic import write_atomic
+    from fullturn.io.atomic import make_folder, write_atomic
     from fullturn.viz.curves import save_curves
 
     sets = read_runs(runs)
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise WriteError(
-            f"cannot make the folder {out}: {error.strerror}; choose another one with --out"
-        ) from error
+    make_folder(out)
 
     main = main_table(sets)
     details = [*full_tables(sets), *paper_layout(sets)]

@@ -19,12 +19,12 @@ import fullturn
 from fullturn.data.pair import Pair
 from fullturn.data.pair_set import PairSet
 from fullturn.data.provenance import working_tree_commit
-from fullturn.errors import FullturnError, InputError, WriteError
+from fullturn.errors import FullturnError, InputError
 from fullturn.evaluation.cache import PredictionCache
 from fullturn.evaluation.fingerprint import describe, fingerprint
 from fullturn.evaluation.predict import Prediction, Predictor, pair_hash
 from fullturn.evaluation.score import Score, ScoredPair, summarize
-from fullturn.io.atomic import write_atomic
+from fullturn.io.atomic import make_folder, write_atomic
 from fullturn.methods.registry import get
 from fullturn.workers import Crew
 
@@ -54,12 +54,7 @@ def evaluate(
         WriteError: a folder cannot be written.
     """
     names = _checked_names(sets, methods)
-    try:
-        (out / "pairs").mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise WriteError(
-            f"cannot make the folder {out}: {error.strerror}; choose another one"
-        ) from error
+    make_folder(out / "pairs")
     summary: dict[str, Any] = {
         "format": FORMAT,
         "fullturn": fullturn.__version__,

@@ -69,6 +69,23 @@ def check_output(path: str | os.PathLike[str], suffixes: tuple[str, ...] = ()) -
     return goal
 
 
+def make_folder(path: str | os.PathLike[str]) -> Path:
+    """The folder for outputs, made with its parents where it is missing.
+
+    Raises:
+        WriteError: it cannot be made.
+    """
+    folder = Path(path)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or one_line(error)
+        raise WriteError(
+            f"cannot make the folder {one_line(path)}: {reason}; choose another one"
+        ) from error
+    return folder
+
+
 def one_line(text: object) -> str:
     """Any text as one printable line, so that an error message is always one line.
 

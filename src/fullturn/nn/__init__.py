@@ -1,0 +1,1 @@
+"""The paper's network, from clouds to the descriptors of their points."""

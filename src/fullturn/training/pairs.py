@@ -1,0 +1,149 @@
+"""The pairs of a run by number: which shape, which protocol, which draw."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from fullturn.data.categories import SEEN_CLASSES
+from fullturn.data.open import find, open_shapes
+from fullturn.data.pair import Pair
+from fullturn.data.protocols import PROTOCOLS, Protocol, make_pair
+from fullturn.data.shapes import MeshPack, ShapeSource
+from fullturn.errors import InputError
+from fullturn.training.config import DataConfig, ShapesConfig, ValidationConfig
+
+# Which shapes are held out doesn't depend on a run's seed: runs are compared on the same ones.
+_HELD_OUT_SEED = 20_231
+_STREAMS = {"training": 0, "validation": 1}
+
+
+class RunPairs:
+    """Pairs without end for training or for validation; pair i depends on the seed and i alone.
+
+    Each place of shapes is gone through in a new random order in every round. The shapes for
+    validation are never among those for training.
+    """
+
+    def __init__(
+        self,
+        data: DataConfig,
+        validation: ValidationConfig,
+        *,
+        part: Literal["training", "validation"],
+        folder: Path | None = None,
+    ) -> None:
+        """`folder` is where relative paths are looked for first. Nothing is read yet."""
+        self._data, self._validation = data, validation
+        self._part, self._folder = part, folder
+
+    def __getstate__(self) -> dict[str, Any]:
+        # Workers read the shapes themselves: they may be hundreds of megabytes.
+        settings = ("_data", "_validation", "_part", "_folder")
+        return {name: self.__dict__[name] for name in settings}
+
+    def pair(self, number: int) -> Pair:
+        if self._data.count is not None and self._part == "training":
+            number %= self._data.count
+        rng = np.random.default_rng([self._data.seed, number, _STREAMS[self._part]])
+        place = int(rng.choice(len(self._places), p=self._shares))
+        protocol = self._protocols[int(rng.integers(len(self._protocols)))]
+        source, indices = self._places[place]
+        turn = self._order(place, number // len(indices))
+        return make_pair(protocol, source, int(indices[turn[number % len(indices)]]), rng=rng)
+
+    @property
+    def count(self) -> int:
+        """The number of different shapes."""
+        return sum(len(indices) for _, indices in self._places)
+
+    @property
+    def description(self) -> list[dict[str, Any]]:
+        """What the shapes are: file, hash, part, license; and how many of them are used."""
+        return [
+            {**source.description, "used": len(indices), "share": float(share)}
+            for (source, indices), share in zip(self._places, self._shares, strict=True)
+        ]
+
+    def name(self, number: int) -> str:
+        """The shape that pair `number` shows."""
+        return self.pair(number).name
+
+    @cached_property
+    def _protocols(self) -> list[Protocol]:
+        changes = {
+            key: value
+            for key in ("sample_points", "cloud_points")
+            if (value := getattr(self._data, key)) is not None
+        }
+        return [replace(PROTOCOLS[name], **changes) for name in self._data.protocols]
+
+    @cached_property
+    def _places(self) -> list[tuple[ShapeSource, np.ndarray]]:
+        own = self._part == "validation" and bool(self._validation.shapes)
+        configs = self._validation.shapes if own else self._data.shapes
+        share = 0.0 if self._validation.shapes else self._validation.share
+        places = []
+        for config in configs:
+            source = _open(config, self._folder)
+            indices = self._allowed(source, config)
+            if share > 0.0:
+                turn = np.random.default_rng(_HELD_OUT_SEED).permutation(len(indices))
+                out = max(1, round(share * len(indices)))
+                part = turn[:out] if self._part == "validation" else turn[out:]
+                indices = indices[np.sort(part)]
+            if len(indices) == 0:
+                raise InputError(
+                    f"expected shapes for {self._part} in {config.path}, none are left of "
+                    f"{len(source)}; name more shapes"
+                )
+            places.append((source, indices))
+        return places
+
+    @cached_property
+    def _shares(self) -> np.ndarray:
+        own = self._part == "validation" and bool(self._validation.shapes)
+        shares = [p.share for p in (self._validation if own else self._data).shapes]
+        return np.array(shares) / sum(shares)
+
+    def _allowed(self, source: ShapeSource, config: ShapesConfig) -> np.ndarray:
+        # This says what shapes a protocol can't be drawn from.
+        allowed = set.intersection(*(set(p.eligible(source)) for p in self._protocols))
+        if self._data.classes == "seen":
+            allowed = {i for i in allowed if source.category(i) in SEEN_CLASSES}
+            if not allowed:
+                raise InputError(
+                    f'classes = "seen": expected shapes of the first 20 ModelNet40 classes in '
+                    f'{config.path}, found none; name other shapes, or write classes = "all"'
+                )
+        return np.array(sorted(allowed), dtype=np.int64)
+
+    def _order(self, place: int, turn: int) -> np.ndarray:
+        return _permutation(self._data.seed, _STREAMS[self._part], place, turn, self._length(place))
+
+    def _length(self, place: int) -> int:
+        return len(self._places[place][1])
+
+
+@lru_cache(maxsize=32)
+def _permutation(seed: int, stream: int, place: int, turn: int, length: int) -> np.ndarray:
+    # Five numbers, where a pair's own generator has three: never the same one.
+    return np.random.default_rng([seed, stream, place, turn, length]).permutation(length)
+
+
+def _open(config: ShapesConfig, folder: Path | None) -> ShapeSource:
+    path = config.path
+    if folder is not None and (folder / path).exists():
+        path = str(folder / path)
+    if not config.sources:
+        return open_shapes(path if config.part is None else f"{path}:{config.part}")
+    place = find(path, expected="a mesh pack FILE.npz")
+    if place.suffix.lower() != ".npz":
+        raise InputError(
+            f"expected a mesh pack (.npz) where sources are named, got {path}; leave them out"
+        )
+    return MeshPack(place, split=config.part, sources=config.sources)
