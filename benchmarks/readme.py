@@ -33,6 +33,7 @@ METHODS = {
     "fgr": "Fast Global Registration (Open3D)",
     "kiss": "KISS-Matcher",
 }
+LOCAL = ("icp-point", "icp-plane", "gicp")  # from any start they can only fail
 SAME_SAMPLE_180 = {
     "modelnet40/clean/180": "clean",
     "modelnet40/noisy/180": "noise",
@@ -101,7 +102,7 @@ def scans_part(results: Path) -> str:
         for found in load(results / "scans")
         if found.name == "stanford"
     ]
-    table = tables_of(sets, {"stanford": "all", **OVERLAPS})
+    table = tables_of(sets, {"stanford": "", **OVERLAPS})
     if not table:
         return ""
     opening = paragraph(
@@ -155,13 +156,26 @@ def load(folder: Path) -> list[SetResult]:
 
 
 def tables_of(sets: Sequence[SetResult], titles: dict[str, str]) -> str:
-    """The table of the sets that have a title, in the titles' order, with its seeds; or ""."""
-    by_name = {found.name: found for found in sets}
+    """The table of the sets that have a title, in the titles' order, with its seeds; or "".
+
+    Only of methods that search all rotations.
+    """
+    by_name = {found.name: without_local(found) for found in sets}
     chosen = [by_name[name] for name in titles if name in by_name]
     if not chosen:
         return ""
     table = main_table(chosen, methods=METHODS, titles=titles)
     return f"{markdown(table)}\n{paragraph(table.notes[0])}"
+
+
+def without_local(found: SetResult) -> SetResult:
+    """The results of the methods that need no rough alignment."""
+
+    def chosen(methods: Mapping[str, MethodResult]) -> dict[str, MethodResult]:
+        return {name: one for name, one in methods.items() if name not in LOCAL}
+
+    groups = {group: chosen(methods) for group, methods in found.groups.items()}
+    return replace(found, methods=chosen(found.methods), groups=groups)
 
 
 def narrow_table(sets: Sequence[SetResult]) -> str:

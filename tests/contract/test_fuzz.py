@@ -212,7 +212,7 @@ def test_the_number_of_inputs() -> None:
         {"source_viewpoint": object()},
         {"source_viewpoint": [[1, 2, 3]]},
     ],
-    ids=lambda options: json.dumps(options, default=str),
+    ids=lambda options: json.dumps(options, default=lambda thing: type(thing).__name__),
 )
 def test_options_of_every_sort(options: dict[str, Any]) -> None:
     cloud = bracket(60)
