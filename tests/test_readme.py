@@ -115,12 +115,16 @@ def test_what_is_missing_leaves_its_part_out(readme, tmp_path, monkeypatch):
     from run_folders import set_part, summary, write_run
 
     assert readme.section(tmp_path) == ""
-    both = {"consensus": summary(), "gicp": summary(mean_deg=9.5, states=False)}
+    both = {"consensus": summary(), "kiss": summary(mean_deg=9.5, states=False)}
+    both["gicp"] = summary(mean_deg=99.5, states=False)
     names = ("modelnet40/clean/180", "geotransformer/180", "modelnet40/noisy/45", "rpmnet/45")
     write_run(tmp_path / "modelnet", {name: set_part(both) for name in names})
     text = readme.section(tmp_path)
     assert "| clean | fullturn | 4 | 2.50 | 0.500 | 75.0 | 75.0 | 62.5 | 0.38 |" in text
-    assert "|  | GICP (small_gicp) | 4 | 9.50 | 0.500 | 75.0 | 75.0 | – | 0.38 |" in text
+    assert "|  | KISS-Matcher | 4 | 9.50 | 0.500 | 75.0 | 75.0 | – | 0.38 |" in text
+    # Local methods stand where rotations are small alone.
+    assert text.count("| GICP (small_gicp) |") == 1
+    assert "| GICP (small_gicp) | 99.50°, 75.0 % |" in text
     assert "|  | GMCNet, as published | – | 0.036 |" in text
     assert "| method | one sample, noise (4) | two samples, 70 % kept (4) |" in text
     assert "| fullturn | 2.50°, 75.0 % | 2.50°, 75.0 % |" in text

@@ -20,6 +20,14 @@ def progress_bar(label: str, total: int, *, shown: bool = True) -> Iterator[Call
     from rich.progress import MofNCompleteColumn, Progress
 
     columns = (*Progress.get_default_columns(), MofNCompleteColumn())
-    with Progress(*columns, console=Console(stderr=True)) as bar:
-        task = bar.add_task(label, total=total)
-        yield lambda count: bar.advance(task, count)
+    bar = Progress(*columns, console=Console(stderr=True))
+    task = bar.add_task(label, total=total)
+
+    def advance(count: int) -> None:
+        bar.start()  # only now, so that an error at the start stands alone
+        bar.advance(task, count)
+
+    try:
+        yield advance
+    finally:
+        bar.stop()

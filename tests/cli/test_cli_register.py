@@ -86,7 +86,7 @@ def test_report_and_figure(files: list[str], tmp_path: Path) -> None:
     ("arguments", "message"),
     [
         (["missing.ply", "also.ply"], "there is none"),
-        (["{source}", "{target}", "--method", "magic"], "expected auto, consensus"),
+        (["{source}", "{target}", "--method", "magic"], "expected auto, icp, consensus"),
         (["{source}", "{target}", "--out", "T.yaml"], ".txt, .json"),
         (["{source}", "{target}", "--out", "missing/T.txt"], "create it first"),
         (["{source}", "{target}", "--save", "a.jpg"], ".ply, .npy"),

@@ -73,5 +73,5 @@ def test_the_same_seed_gives_the_same_scans(run, tmp_path):
 
 def test_an_unusable_folder_is_named(run, tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(WriteError, match="--out"):
+    with pytest.raises(WriteError, match="cannot make the folder"):
         run("--out", str(tmp_path / "file"), *QUICK)

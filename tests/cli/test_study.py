@@ -62,5 +62,5 @@ def test_what_cannot_be_used_is_named(run, tmp_path):
     with pytest.raises(InputError, match="procedural:none"):
         run("robustness", "--shapes", "procedural:none", "--out", str(tmp_path / "out"))
     (tmp_path / "file").write_text("")
-    with pytest.raises(WriteError, match="--out"):
+    with pytest.raises(WriteError, match="cannot make the folder"):
         run("robustness", *QUICK, "--out", str(tmp_path / "file"))

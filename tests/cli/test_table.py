@@ -93,5 +93,5 @@ def test_errors_name_what_is_wrong(run, tmp_path):
         run(tmp_path, "--out", tmp_path / "out")
     assert not (tmp_path / "out").exists()
     (tmp_path / "file").write_text("")
-    with pytest.raises(WriteError, match="--out"):
+    with pytest.raises(WriteError, match="cannot make the folder"):
         run(write_run(tmp_path / "run", SETS), "--out", tmp_path / "file")

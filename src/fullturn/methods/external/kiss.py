@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import ClassVar, final
 
@@ -84,11 +87,31 @@ class Kiss(Method):
             solver_noise_bound_gain=config.solver_bound,
         )
         clouds = [x.astype(np.float32) for x in (source, target)]
-        found = self.library.KISSMatcher(settings).estimate(*clouds)
+        with _one_cpu():
+            found = self.library.KISSMatcher(settings).estimate(*clouds)
         T_target_source = np.eye(4)
         T_target_source[:3, :3] = np.reshape(found.rotation, (3, 3))
         T_target_source[:3, 3] = np.ravel(found.translation)
         return rigid_or(T_target_source, np.eye(4))
+
+
+@contextmanager
+def _one_cpu() -> Iterator[None]:
+    """One CPU for this thread, where the system can do that.
+
+    The library makes as many threads as it sees CPUs when it is first used, can't be told
+    otherwise, and with two of them gives other last digits now and then.
+    """
+    if not hasattr(os, "sched_setaffinity"):
+        yield
+        return
+    before = os.sched_getaffinity(0)
+    # Not the same one for all processes.
+    os.sched_setaffinity(0, {sorted(before)[os.getpid() % len(before)]})
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, before)
 
 
 def _describable(points: Float[np.ndarray, "n 3"], radius: float) -> bool:
