@@ -10,7 +10,7 @@ demo: $(VENV)/.installed
 	$(BIN)/fullturn demo --out demo_output
 
 test: lint types
-	$(BIN)/python -m pytest
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto
 
 lint: $(VENV)/.installed
 	$(BIN)/ruff check .
