@@ -32,7 +32,10 @@ results: $(VENV)/.installed
 		--pairs $(DATA)/stanford_scans
 	$(BIN)/fullturn evaluate --out results/calibration --method consensus \
 		--protocol mixture --shapes procedural:100000:1000 --count 600 --seed 1000
-	for run in modelnet scans calibration; do \
+	$(BIN)/fullturn evaluate --out results/ransac-4m --method ransac-4m \
+		--protocol modelnet40/clean/180 modelnet40/noisy/180 geotransformer/180 \
+		--shapes $(DATA)/modelnet40_subset.npz:dev_eval
+	for run in modelnet scans calibration ransac-4m; do \
 		$(BIN)/fullturn table results/$$run --out results/$$run || exit 1; done
 	$(BIN)/python benchmarks/speed.py
 	$(BIN)/python benchmarks/readme.py
