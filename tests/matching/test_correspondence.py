@@ -37,7 +37,7 @@ def by_hand(
 @pytest.mark.parametrize("per_point", [1, 2, 3])
 def test_agrees_with_a_search_by_hand(n: int, m: int, per_point: int) -> None:
     source, target = descriptors(n, seed=1), descriptors(m, seed=2)
-    matches = candidate_matches(source, target, per_point=per_point, mutual_bonus=0.05)
+    matches = candidate_matches(source @ target.T, per_point=per_point, mutual_bonus=0.05)
     expected = by_hand(source.numpy(), target.numpy(), per_point=per_point, bonus=0.05)
     found = dict(zip(pairs(matches), matches.similarity.tolist(), strict=True))
     assert found.keys() == expected.keys()
@@ -47,10 +47,10 @@ def test_agrees_with_a_search_by_hand(n: int, m: int, per_point: int) -> None:
 
 def test_the_best_come_first_and_the_limit_keeps_them() -> None:
     source, target = descriptors(60, seed=3), descriptors(50, seed=4)
-    everything = candidate_matches(source, target)
+    everything = candidate_matches(source @ target.T)
     assert bool((everything.similarity.diff() <= 0).all())
     assert len(set(pairs(everything))) == len(everything.source)
-    few = candidate_matches(source, target, limit=17)
+    few = candidate_matches(source @ target.T, limit=17)
     assert pairs(few) == pairs(everything)[:17]
     torch.testing.assert_close(few.similarity, everything.similarity[:17])
 
@@ -58,7 +58,7 @@ def test_the_best_come_first_and_the_limit_keeps_them() -> None:
 def test_equal_descriptors_are_matched_first() -> None:
     rows = descriptors(50, seed=5)
     order = torch.from_numpy(np.random.default_rng(6).permutation(50))
-    matches = candidate_matches(rows, rows[order])
+    matches = candidate_matches(rows @ rows[order].T)
     first = pairs(matches)[:50]
     assert sorted(i for i, _ in first) == list(range(50))
     assert all(int(order[j]) == i for i, j in first)
@@ -66,8 +66,8 @@ def test_equal_descriptors_are_matched_first() -> None:
 
 def test_swapping_the_clouds_transposes_the_pairs() -> None:
     source, target = descriptors(40, seed=7), descriptors(35, seed=8)
-    there = candidate_matches(source, target, per_point=1)
-    back = candidate_matches(target, source, per_point=1)
+    there = candidate_matches(source @ target.T, per_point=1)
+    back = candidate_matches(target @ source.T, per_point=1)
     assert set(pairs(there)) == {(i, j) for j, i in pairs(back)}
 
 
@@ -75,6 +75,6 @@ def test_the_order_of_points_is_nothing() -> None:
     source, target = descriptors(40, seed=9), descriptors(35, seed=10)
     rng = np.random.default_rng(11)
     p, q = (torch.from_numpy(rng.permutation(k)) for k in (40, 35))
-    plain = candidate_matches(source, target, limit=30)
-    mixed = candidate_matches(source[p], target[q], limit=30)
+    plain = candidate_matches(source @ target.T, limit=30)
+    mixed = candidate_matches(source[p] @ target[q].T, limit=30)
     assert pairs(plain) == [(int(p[i]), int(q[j])) for i, j in pairs(mixed)]

@@ -12,7 +12,7 @@ from fullturn.data.protocols import PROTOCOLS, ProtocolPairs
 from fullturn.data.shapes import ProceduralShapes
 from fullturn.geometry import rigid
 from fullturn.geometry.cloud import Cloud
-from fullturn.pose.fine import FinePair, fine_pair, measure_residuals, refine_fine
+from fullturn.pose.fine import measure_residuals, refine_fine
 
 T_TRUE = random_motions(1, seed=5)[0]
 
@@ -40,7 +40,7 @@ def clouds(
 
 def refined(source: Cloud, target: Cloud, T: Tensor) -> Tensor:
     start = 2 * max(source.spacing, target.spacing)
-    return refine_fine(T, fine_pair(source, target), start=start)
+    return refine_fine(T, source, target, start=start)
 
 
 @pytest.mark.parametrize("missing", [0.0, 0.3])
@@ -111,7 +111,7 @@ def test_the_pose_is_rigid_and_equivariant() -> None:
 @pytest.mark.parametrize("noise", [1e-4, 1e-3, 5e-3])
 def test_the_noise_is_measured(noise: float) -> None:
     source, target = clouds(3000, noise=noise)
-    residuals = measure_residuals(T_TRUE, fine_pair(source, target), cutoff=0.08)
+    residuals = measure_residuals(T_TRUE, source, target, cutoff=0.08)
     # Differences of two noisy points.
     assert residuals.sigma_normal == pytest.approx(noise * 2**0.5, rel=0.25)
     assert residuals.sigma_tangent == pytest.approx(noise * 2**0.5, rel=0.25)
@@ -119,19 +119,17 @@ def test_the_noise_is_measured(noise: float) -> None:
 
 
 def test_independent_samples_are_not_trusted_as_points() -> None:
-    pair = fine_pair(*clouds(3000, same=False, noise=1e-3))
-    residuals = measure_residuals(T_TRUE, pair, cutoff=0.08)
+    residuals = measure_residuals(T_TRUE, *clouds(3000, same=False, noise=1e-3), cutoff=0.08)
     assert residuals.sigma_tangent > 3 * residuals.sigma_normal
     assert residuals.point_share < 0.05
 
 
 def test_the_problem_does_not_depend_on_the_target_frame() -> None:
     source, target = clouds(600, same=False, noise=0.01)
-    here = measure_residuals(T_TRUE, fine_pair(source, target), cutoff=0.1)
+    here = measure_residuals(T_TRUE, source, target, cutoff=0.1)
     h = random_motions(1, seed=7)[0]
-    there = measure_residuals(
-        h @ T_TRUE, fine_pair(source, Cloud(rigid.apply(h, target.points))), cutoff=0.1
-    )
+    turned = Cloud(rigid.apply(h, target.points))
+    there = measure_residuals(h @ T_TRUE, source, turned, cutoff=0.1)
     torch.testing.assert_close(here.H, there.H, rtol=1e-6, atol=1e-6 * float(here.H.max()))
     torch.testing.assert_close(here.g, there.g, rtol=1e-6, atol=1e-6 * float(here.H.max()))
     assert here.reach == pytest.approx(there.reach)
@@ -139,12 +137,11 @@ def test_the_problem_does_not_depend_on_the_target_frame() -> None:
 
 def test_nothing_near_leaves_the_pose_and_no_information() -> None:
     source, target = clouds(200)
-    pair: FinePair = fine_pair(source, target)
     away = rigid.make(torch.eye(3).double(), torch.tensor([50.0, 0, 0]).double())
-    residuals = measure_residuals(away, pair, cutoff=0.1)
+    residuals = measure_residuals(away, source, target, cutoff=0.1)
     assert float(residuals.H.abs().max()) == 0.0
     assert float(residuals.g.abs().max()) == 0.0
-    torch.testing.assert_close(refine_fine(away, pair, start=0.1), away)
+    torch.testing.assert_close(refine_fine(away, source, target, start=0.1), away)
 
 
 @pytest.mark.parametrize("kind", ["plane", "four points", "copies"])

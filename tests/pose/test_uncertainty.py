@@ -13,14 +13,14 @@ from fullturn.data.shapes import ProceduralShapes
 from fullturn.geometry import rigid
 from fullturn.geometry.cloud import Cloud
 from fullturn.pose.explain import partner_radius
-from fullturn.pose.fine import fine_pair, refine_fine
+from fullturn.pose.fine import refine_fine
 from fullturn.pose.uncertainty import pose_covariance
 
 T_TRUE = random_motions(1, seed=1)[0]
 
 
 def covariance(source: Tensor, target: Tensor, T: Tensor = T_TRUE) -> Tensor:
-    return pose_covariance(T, fine_pair(Cloud(source), Cloud(target)), cutoff=0.1)
+    return pose_covariance(T, Cloud(source), Cloud(target), cutoff=0.1)
 
 
 def noisy(noise: float, *, count: int = 2000, seed: int = 0) -> tuple[Tensor, Tensor]:
@@ -100,9 +100,8 @@ def test_errors_are_as_large_as_it_says(protocol: str) -> None:
         T_true = torch.from_numpy(pair.T_target_source).clone()
         T_true[:3, 3] += T_true[:3, :3] @ source.mean(0) - target.mean(0)
         clouds = Cloud(source - source.mean(0)), Cloud(target - target.mean(0))
-        fine = fine_pair(*clouds)
-        T = refine_fine(T_true, fine, start=2 * max(cloud.spacing for cloud in clouds))
-        C = pose_covariance(T, fine, cutoff=partner_radius(*clouds, T))
+        T = refine_fine(T_true, *clouds, start=2 * max(cloud.spacing for cloud in clouds))
+        C = pose_covariance(T, *clouds, cutoff=partner_radius(*clouds, T))
         error = rigid.log_se3(rigid.invert(T) @ T_true)
         squares.append(float(error @ torch.linalg.solve(C, error)))
     assert 2.0 < float(np.median(squares)) < 12.0

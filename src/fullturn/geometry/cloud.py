@@ -9,7 +9,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from fullturn.geometry.neighbors import NeighborIndex
+from fullturn.geometry.normals import estimate_normals
 from fullturn.geometry.sampling import point_spacing
+
+_SAMPLE_LIMIT = 10_000
+_NORMAL_NEIGHBORS = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,3 +36,16 @@ class Cloud:
     def spacing(self) -> float:
         """Median distance between neighboring points."""
         return point_spacing(self.points, index=self.index)
+
+    @cached_property
+    def sample(self) -> Float[Tensor, "s 3"]:
+        """At most 10,000 of the points, evenly over the rows: where noise and overlap are taken."""
+        return self.points[:: -(-len(self.points) // _SAMPLE_LIMIT)]
+
+    @cached_property
+    def sample_normals(self) -> Float[Tensor, "s 3"]:
+        """Unit normals at the sample, of either sign, from neighbors at full resolution."""
+        neighbors, _ = self.index.knn(self.sample, min(_NORMAL_NEIGHBORS, len(self.points)))
+        return estimate_normals(
+            self.points, queries=self.sample, neighbor_index=neighbors, orientation="none"
+        ).normals

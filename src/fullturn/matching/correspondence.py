@@ -1,4 +1,4 @@
-"""Ranked candidate matches between two sets of descriptors."""
+"""Ranked candidate matches between the points of two clouds."""
 
 from __future__ import annotations
 
@@ -19,8 +19,7 @@ class Matches:
 
 
 def candidate_matches(
-    source_descriptors: Float[Tensor, "n c"],
-    target_descriptors: Float[Tensor, "m c"],
+    similarity: Float[Tensor, "n m"],
     *,
     per_point: int = 2,
     limit: int = 1000,
@@ -29,9 +28,8 @@ def candidate_matches(
     """The `limit` best pairs out of each point's most similar points in the other cloud.
 
     Each source point offers its `per_point` best targets, each target point its best source.
-    Pairs offered from both sides get a bonus on their similarity (dot product of the rows).
+    Pairs offered from both sides get a bonus on their similarity.
     """
-    similarity = source_descriptors @ target_descriptors.T
     n, m = similarity.shape
     per_point = min(per_point, m)
     forward = similarity.topk(per_point, dim=1)

@@ -11,7 +11,7 @@ import torch
 
 from fullturn.geometry.cloud import Cloud
 from fullturn.methods.base import Estimate, Method
-from fullturn.pose.fine import fine_pair, refine_fine
+from fullturn.pose.fine import refine_fine
 from fullturn.pose.search import SearchConfig, find_finalists
 from fullturn.pose.symmetry import symmetry_of_poses
 from fullturn.pose.verdict import judge
@@ -57,7 +57,7 @@ class Consensus(Method):
         T = found.T_target_source[[index for index, _ in kept]].clone()
         probability = torch.tensor([p for _, p in kept], dtype=T.dtype)
         judged_at = time.perf_counter()
-        T[0] = refine_fine(T[0], fine_pair(source, target), start=2.0 * found.spacing)
+        T[0] = refine_fine(T[0], source, target, start=2.0 * found.spacing)
         rivals = T[1:][probability[1:] >= config.rival_share * probability[0]]
         symmetry = symmetry_of_poses(T[0], rivals)
         end = time.perf_counter()

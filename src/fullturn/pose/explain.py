@@ -11,11 +11,8 @@ from torch import Tensor
 
 from fullturn.geometry import rigid
 from fullturn.geometry.cloud import Cloud
-from fullturn.pose.fine import fine_pair
 from fullturn.pose.uncertainty import pose_covariance
 
-# Shares and the noise are measured at no more than this many points of each cloud.
-_MAX_SAMPLES = 10_000
 # Farther apart than this (normalized) no noise carries a point.
 _NOISE_REACH = 0.05
 
@@ -41,7 +38,7 @@ def explain(source: Cloud, target: Cloud, T_target_source: Float[Tensor, "4 4"])
     near = distance < radius
     index = torch.nonzero(near)[:, 0]
     weights = (1 - (distance[near] / radius).square()).square()
-    covariance = pose_covariance(T_target_source, fine_pair(source, target), cutoff=radius)
+    covariance = pose_covariance(T_target_source, source, target, cutoff=radius)
     return Explanation(
         overlap=pose_overlap(source, target, T_target_source, radius=radius),
         matches=torch.stack([index, partner[near]], -1).numpy(force=True),
@@ -56,7 +53,7 @@ def partner_radius(source: Cloud, target: Cloud, T_target_source: Float[Tensor, 
     Twice the spacing of the sparser cloud, or three times the typical distance between the two
     surfaces where noise exceeds the spacing.
     """
-    moved = rigid.apply(T_target_source, _sample(source))
+    moved = rigid.apply(T_target_source, source.sample)
     _, distance = target.index.nearest(moved, within=_NOISE_REACH)
     spacing = 2.0 * max(source.spacing, target.spacing)
     close = distance[distance < _NOISE_REACH]
@@ -73,12 +70,8 @@ def pose_overlap(
     """Shares of source and of target with a partner within `radius` (`partner_radius`)."""
     if radius is None:
         radius = partner_radius(source, target, T_target_source)
-    moved = rigid.apply(T_target_source, _sample(source))
+    moved = rigid.apply(T_target_source, source.sample)
     _, there = target.index.nearest(moved, within=radius)
-    pulled = rigid.apply(rigid.invert(T_target_source), _sample(target))
+    pulled = rigid.apply(rigid.invert(T_target_source), target.sample)
     _, back = source.index.nearest(pulled, within=radius)
     return float((there < radius).double().mean()), float((back < radius).double().mean())
-
-
-def _sample(cloud: Cloud) -> Float[Tensor, "n 3"]:
-    return cloud.points[:: -(-len(cloud.points) // _MAX_SAMPLES)]

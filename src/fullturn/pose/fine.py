@@ -10,35 +10,13 @@ from torch import Tensor
 
 from fullturn.geometry import rigid
 from fullturn.geometry.cloud import Cloud
-from fullturn.geometry.neighbors import NeighborIndex
-from fullturn.geometry.normals import estimate_normals
 from fullturn.pose.kabsch import nearest_rotation
 from fullturn.pose.residuals import gauss_newton_step, normal_equations
 
-# Residuals are taken at no more than this many points of each cloud; neighbors come from all.
-_MAX_SAMPLES = 10_000
-_NORMAL_NEIGHBORS = 20
-# Two samplings of a surface are mutual nearest neighbors in about 60 % of the cases, one and the
-# same sampling, with noise below its spacing, in nearly all.
+# The share of mutual nearest neighbors at which points aren't trusted to be the same ones, and that
+# at which they fully are: two samplings of a surface lie below, one and the same above.
 _MUTUAL_INDEPENDENT, _MUTUAL_SAME = 0.54, 0.66
 _LEAST_POINT_SHARE = 0.01
-
-
-@dataclass(frozen=True, eq=False)
-class FineCloud:
-    """Points of a cloud where residuals are taken, and the tree over all of its points."""
-
-    points: Float[Tensor, "n 3"]
-    normals: Float[Tensor, "n 3"]
-    index: NeighborIndex
-
-
-@dataclass(frozen=True, eq=False)
-class FinePair:
-    """Both clouds, ready for the last refinement."""
-
-    source: FineCloud
-    target: FineCloud
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,13 +31,13 @@ class Residuals:
     reach: float  # three deviations: how far apart partners may lie
 
 
-def fine_pair(source: Cloud, target: Cloud) -> FinePair:
-    """Choose the sample points, evenly over the rows, and estimate their normals."""
-    return FinePair(_fine_cloud(source), _fine_cloud(target))
-
-
 def refine_fine(
-    T_target_source: Float[Tensor, "4 4"], pair: FinePair, *, start: float, rounds: int = 20
+    T_target_source: Float[Tensor, "4 4"],
+    source: Cloud,
+    target: Cloud,
+    *,
+    start: float,
+    rounds: int = 20,
 ) -> Float[Tensor, "4 4"]:
     """The pose at the optimum next to the given one; `start` is the first search distance.
 
@@ -71,7 +49,7 @@ def refine_fine(
     T = T_target_source
     cutoff = start
     for _ in range(rounds):
-        residuals = measure_residuals(T, pair, cutoff=cutoff)
+        residuals = measure_residuals(T, source, target, cutoff=cutoff)
         step = gauss_newton_step(residuals.H, residuals.g, damping=1e-6, largest=0.2)
         T = T @ rigid.exp_se3(step)
         moved = float(step.abs().max())
@@ -82,30 +60,29 @@ def refine_fine(
 
 
 def measure_residuals(
-    T_target_source: Float[Tensor, "4 4"], pair: FinePair, *, cutoff: float
+    T_target_source: Float[Tensor, "4 4"], source: Cloud, target: Cloud, *, cutoff: float
 ) -> Residuals:
-    """Pair the points up at a pose and weigh them by the noise that they show."""
+    """Pair the samples' points up with all of the other cloud's, and weigh them by their noise."""
     T_source_target = rigid.invert(T_target_source)
-    source, target = pair.source, pair.target
-    moved = rigid.apply(T_target_source, source.points)
+    moved = rigid.apply(T_target_source, source.sample)
     partner, distance = target.index.nearest(moved, within=cutoff)
-    y = rigid.apply(T_source_target, target.index.points[partner])
+    y = rigid.apply(T_source_target, target.points[partner])
     forward = distance < cutoff
     mutual = torch.zeros_like(forward)
     if forward.any():
         back, _ = source.index.nearest(y[forward])
-        mutual[forward] = (source.index.points[back] == source.points[forward]).all(-1)
-    pulled = rigid.apply(T_source_target, target.points)
+        mutual[forward] = (source.points[back] == source.sample[forward]).all(-1)
+    pulled = rigid.apply(T_source_target, target.sample)
     partner, distance = source.index.nearest(pulled, within=cutoff)
-    x = source.index.points[partner]
+    x = source.points[partner]
     backward = distance < cutoff
-    at = torch.cat([source.points[forward], x[backward]])
+    at = torch.cat([source.sample[forward], x[backward]])
     if len(at) < 6:
         zero = at.new_zeros(6)
         return Residuals(torch.diag(zero), zero, cutoff, cutoff, 1.0, cutoff)
-    difference = torch.cat([source.points[forward] - y[forward], x[backward] - pulled[backward]])
-    target_normals = target.normals @ T_target_source[:3, :3]
-    normal = torch.cat([source.normals[forward], target_normals[backward]])
+    difference = torch.cat([source.sample[forward] - y[forward], x[backward] - pulled[backward]])
+    target_normals = target.sample_normals @ T_target_source[:3, :3]
+    normal = torch.cat([source.sample_normals[forward], target_normals[backward]])
 
     height = (difference * normal).sum(-1)
     along = (difference - height[:, None] * normal).norm(dim=-1)
@@ -123,12 +100,3 @@ def measure_residuals(
     weight = (1.0 - unlikely).clamp_min(0).square() / sigma_normal**2
     H, g = normal_equations(at, difference, normal, weight, point_share=point_share)
     return Residuals(H, g, sigma_normal, sigma_tangent, point_share, reach)
-
-
-def _fine_cloud(cloud: Cloud) -> FineCloud:
-    sample = cloud.points[:: -(-len(cloud.points) // _MAX_SAMPLES)]
-    index, _ = cloud.index.knn(sample, min(_NORMAL_NEIGHBORS, len(cloud.points)))
-    normals = estimate_normals(
-        cloud.points, queries=sample, neighbor_index=index, orientation="none"
-    ).normals
-    return FineCloud(sample, normals, cloud.index)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 from jaxtyping import Float
 from torch import Tensor
@@ -45,10 +47,21 @@ class Finalists:
     seconds: dict[str, float]
 
 
+# How alike the points of the two sides of a level are: (n, m), greater is more alike.
+Similarity = Callable[[LevelPair], Tensor]
+
+
 def find_finalists(
-    source: Cloud, target: Cloud, *, config: SearchConfig = SearchConfig()
+    source: Cloud,
+    target: Cloud,
+    *,
+    config: SearchConfig = SearchConfig(),
+    similarity: Similarity | None = None,
 ) -> Finalists:
-    """Search the full range of poses; deterministic, no starting guess, no radius to tune."""
+    """Search the full range of poses; deterministic, no starting guess, no radius to tune.
+
+    `similarity` replaces the handcrafted descriptor of the coarse level (`surface_similarity`).
+    """
     clock = _Clock()
     fine = thin_pair(source.points, target.points, limit=config.verify_points)
     verify_level = level_pair(*fine)
@@ -57,7 +70,9 @@ def find_finalists(
         thinned = thin_pair(*fine, limit=config.coarse_points)
         coarse_level = level_pair(*thinned, support=fine)
     clock.lap("levels")
-    T = _hypothesize(coarse_level, config, clock)
+    if similarity is None:
+        similarity = partial(surface_similarity, radius=config.descriptor_radius)
+    T = _hypothesize(coarse_level, similarity(coarse_level), config, clock)
     T = _refine_on_grids(coarse_level, T, config, clock)
     if verify_level is not coarse_level:
         T = _polish(verify_level, T)
@@ -89,15 +104,21 @@ def _measure_level(pair: LevelPair, source: Cloud, target: Cloud, T: Tensor) -> 
     return measure(T, surfaces[0], surfaces[1], spacing=pair.spacing)
 
 
-def _hypothesize(pair: LevelPair, config: SearchConfig, clock: _Clock) -> Tensor:
+def surface_similarity(pair: LevelPair, *, radius: float) -> Float[Tensor, "n m"]:
+    """Inner products of surface histograms out to `radius` point spacings."""
+    source, target = (
+        surface_histogram(level.points, level.normals, level.area, radius=radius * pair.spacing)
+        for level in (pair.source, pair.target)
+    )
+    return source @ target.T
+
+
+def _hypothesize(
+    pair: LevelPair, similarity: Tensor, config: SearchConfig, clock: _Clock
+) -> Tensor:
     h, source, target = pair.spacing, pair.source, pair.target
-    radius = config.descriptor_radius * h
-    descriptors = [
-        surface_histogram(level.points, level.normals, level.area, radius=radius)
-        for level in (source, target)
-    ]
     clock.lap("describe")
-    matches = candidate_matches(*descriptors, limit=config.match_limit)
+    matches = candidate_matches(similarity, limit=config.match_limit)
     agreement = hypotheses.compatibility(
         matches,
         source.points,
@@ -114,10 +135,7 @@ def _hypothesize(pair: LevelPair, config: SearchConfig, clock: _Clock) -> Tensor
 
 def _refine_on_grids(pair: LevelPair, T: Tensor, config: SearchConfig, clock: _Clock) -> Tensor:
     h, source, target = pair.spacing, pair.source.points, pair.target.points
-    grids = [
-        NearestGrid(level.points, level.normals, cell=0.75 * h, band=3 * h)
-        for level in (pair.source, pair.target)
-    ]
+    grids = _grids(pair, band=3 * h)
     scores = hypotheses.score_poses(
         source[::4], pair.source.area[::4], grids[1], T, truncation=2 * h
     )
@@ -145,12 +163,16 @@ def _refine_on_grids(pair: LevelPair, T: Tensor, config: SearchConfig, clock: _C
 def _polish(pair: LevelPair, T: Tensor) -> Tensor:
     """Refine on a finer level."""
     h = pair.spacing
-    grids = [
-        NearestGrid(level.points, level.normals, cell=0.75 * h, band=2 * h)
+    scales = (2 * h,) * 4 + (1.5 * h,) * 3
+    grids = _grids(pair, band=2 * h)
+    return refine_poses(T, pair.source.points, pair.target.points, *grids, scales=scales)
+
+
+def _grids(pair: LevelPair, *, band: float) -> list[NearestGrid]:
+    return [
+        NearestGrid(level.points, level.normals, cell=0.75 * pair.spacing, band=band)
         for level in (pair.source, pair.target)
     ]
-    scales = (2 * h,) * 4 + (1.5 * h,) * 3
-    return refine_poses(T, pair.source.points, pair.target.points, *grids, scales=scales)
 
 
 def _two_sided(

@@ -6,7 +6,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from fullturn.pose.fine import FinePair, measure_residuals
+from fullturn.geometry.cloud import Cloud
+from fullturn.pose.fine import measure_residuals
 
 # Both directions count the same surface, and neighboring residuals share points and normals:
 # measured on generated pairs, squared errors are this many times what independent ones would give.
@@ -19,7 +20,7 @@ _LEAST_SIGMA = 1e-6
 
 
 def pose_covariance(
-    T_target_source: Float[Tensor, "4 4"], pair: FinePair, *, cutoff: float
+    T_target_source: Float[Tensor, "4 4"], source: Cloud, target: Cloud, *, cutoff: float
 ) -> Float[Tensor, "6 6"]:
     """Covariance of ξ in T_true = T Exp(ξ): rotation vector (rad), then translation (normalized).
 
@@ -27,7 +28,7 @@ def pose_covariance(
     they show across and along the surface (`measure_residuals`). It describes noise around this
     pose, given that it is the right one; the choice between poses is `success_probability`.
     """
-    residuals = measure_residuals(T_target_source, pair, cutoff=cutoff)
+    residuals = measure_residuals(T_target_source, source, target, cutoff=cutoff)
     floor = min(1.0, residuals.sigma_normal / _LEAST_SIGMA) ** 2
     H = floor * (residuals.H + residuals.H.mT) / (2.0 * _INFLATION)
     values, vectors = torch.linalg.eigh(H)
