@@ -11,7 +11,7 @@ from jaxtyping import config, install_import_hook
 ROOMS = (
     *("geometry", "features", "nn", "matching", "pose", "normalize", "data", "training"),
     "evaluation",
-    *("methods.consensus", "methods.classical", "methods.external"),
+    *("methods.consensus", "methods.classical", "methods.external", "methods.learned"),
     *("methods.check", "methods.own"),
 )
 

@@ -26,6 +26,7 @@ def fingerprint(method: type[Method]) -> tuple[str, dict[str, str]]:
     seen.
     """
     files, packages = _closure(method)
+    files |= set(method.files)
     packages |= set(method.needs)  # imported by name, when the method is made
     # By name and content: where the files lie, and in which order a set holds them, is nothing.
     lines = sorted(f"{path.name} {hashlib.sha256(path.read_bytes()).hexdigest()}" for path in files)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -48,6 +49,7 @@ class Method(ABC):
     reference: ClassVar[str]  # where it comes from
     traits: ClassVar[Traits] = Traits()
     needs: ClassVar[tuple[str, ...]] = ()  # optional packages, by the names they import under
+    files: ClassVar[tuple[Path, ...]] = ()  # of its own, as weights, that answers depend on
 
     @classmethod
     def settings(cls) -> dict[str, Any]:

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, field
-from typing import ClassVar, final
+from typing import ClassVar
 
 import numpy as np
 import torch
+from jaxtyping import Float
+from torch import Tensor
 
 from fullturn.geometry.cloud import Cloud
 from fullturn.methods.base import Estimate, Method
 from fullturn.pose.fine import refine_fine
-from fullturn.pose.search import SearchConfig, find_finalists
+from fullturn.pose.levels import LevelPair
+from fullturn.pose.search import SearchConfig, find_finalists, surface_similarity
 from fullturn.pose.symmetry import symmetry_of_poses
 from fullturn.pose.verdict import judge
 
@@ -27,7 +30,6 @@ class ConsensusConfig:
     rival_share: float = 0.2  # of the answer's probability: what counts as evidence of symmetry
 
 
-@final
 class Consensus(Method):
     """Search the full range of poses, verify, refine at full resolution. See docs/architecture.md.
 
@@ -42,9 +44,13 @@ class Consensus(Method):
     reference = "fullturn; second-order seeds after Chen et al., SC²-PCR, CVPR 2022"
     config: ClassVar[ConsensusConfig] = ConsensusConfig()
 
+    def similarity(self, pair: LevelPair) -> Float[Tensor, "n m"]:
+        """How alike the points of both clouds are, by which matches are found."""
+        return surface_similarity(pair)
+
     def estimate(self, source: Cloud, target: Cloud, *, rng: np.random.Generator) -> Estimate:
         config = self.config
-        found = find_finalists(source, target, config=config.search)
+        found = find_finalists(source, target, config=config.search, similarity=self.similarity)
         begin = time.perf_counter()
         judged = judge(found.T_target_source, found.features)
         kept = [

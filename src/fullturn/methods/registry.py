@@ -46,12 +46,18 @@ def names() -> tuple[str, ...]:
 def get(name: str) -> type[Method]:
     """The class of a method.
 
-    Names: those registered; "auto", the default one; "icp", the better one of ICP; and one's own,
-    "file.py:Class" or "package.module:Class".
+    Names: those registered; "auto", the default one; "icp", the better one of ICP;
+    "gmcnet@WEIGHTS" and "gmcnet@WEIGHTS+consensus"; and one's own, "file.py:Class" or
+    "package.module:Class".
 
     Raises:
         InputError: no method has this name, or one's own cannot be had.
     """
+    if isinstance(name, str) and name.startswith("gmcnet"):
+        # Not at the top: it brings the network along, of which the other methods know nothing.
+        from fullturn.methods.learned.named import learned_method
+
+        return learned_method(name)
     if isinstance(name, str) and (":" in name or name.endswith(".py")):
         return own_method(name)
     home = _HOMES.get(_ALIASES.get(name, name)) if isinstance(name, str) else None

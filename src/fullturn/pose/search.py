@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 
 from jaxtyping import Float
 from torch import Tensor
@@ -28,7 +27,6 @@ class SearchConfig:
 
     coarse_points: int = 800  # per cloud, for descriptors and hypotheses
     verify_points: int = 2048  # per cloud, for the last refinement and the verdict
-    descriptor_radius: float = 12.0
     match_limit: int = 700
     length_tolerance: float = 2.5  # between two matches of one rigid motion
     score_truncation: float = 2.0
@@ -70,9 +68,8 @@ def find_finalists(
         thinned = thin_pair(*fine, limit=config.coarse_points)
         coarse_level = level_pair(*thinned, support=fine)
     clock.lap("levels")
-    if similarity is None:
-        similarity = partial(surface_similarity, radius=config.descriptor_radius)
-    T = _hypothesize(coarse_level, similarity(coarse_level), config, clock)
+    alike = (similarity or surface_similarity)(coarse_level)
+    T = _hypothesize(coarse_level, alike, config, clock)
     T = _refine_on_grids(coarse_level, T, config, clock)
     if verify_level is not coarse_level:
         T = _polish(verify_level, T)
@@ -104,7 +101,7 @@ def _measure_level(pair: LevelPair, source: Cloud, target: Cloud, T: Tensor) -> 
     return measure(T, surfaces[0], surfaces[1], spacing=pair.spacing)
 
 
-def surface_similarity(pair: LevelPair, *, radius: float) -> Float[Tensor, "n m"]:
+def surface_similarity(pair: LevelPair, *, radius: float = 12.0) -> Float[Tensor, "n m"]:
     """Inner products of surface histograms out to `radius` point spacings."""
     source, target = (
         surface_histogram(level.points, level.normals, level.area, radius=radius * pair.spacing)
