@@ -67,8 +67,8 @@ def section(results: Path) -> str:
         "Mean and median rotation error; the share of pairs within 5°; the share that is *right*, "
         "which means within 5° and 5 % of the radius; the mean probability that the method *said*, "
         "which should equal the share that is right; and the median CPU seconds of a pair on one "
-        "thread. A method that fails counts, as the identity. `python benchmarks/readme.py` writes "
-        "this section from [results](results)."
+        "thread. A method that fails counts, as the identity. `make results DATA=DIR` makes all of "
+        "[results](results) again, and this section of them."
     )
     return "\n".join(["## Measured\n", opening, *texts])
 
