@@ -66,10 +66,7 @@ def normalized(pair: Pair, *, viewpoints: bool) -> tuple[Cloud, Cloud, Tensor]:
     """The two clouds as a method sees them, and the true pose between them."""
     eyes = (pair.source_viewpoint, pair.target_viewpoint) if viewpoints else (None, None)
     source, target, frame = normalized_clouds(pair.source, pair.target, *eyes)
-    T = torch.from_numpy(pair.T_target_source.copy())
-    c, d = torch.from_numpy(frame.source_center), torch.from_numpy(frame.target_center)
-    T[:3, 3] = (T[:3, :3] @ c + T[:3, 3] - d) / frame.length
-    return source, target, T
+    return source, target, torch.from_numpy(frame.normalize(pair.T_target_source))
 
 
 def collect(args: argparse.Namespace) -> None:

@@ -20,6 +20,13 @@ def random_pose() -> np.ndarray:
     return rigid.exp_se3(torch.from_numpy(RNG.normal(size=6))).numpy()
 
 
+def test_normalize_is_the_inverse_of_denormalize() -> None:
+    rng = np.random.default_rng(3)
+    frame = normalization_of(rng.normal(size=(50, 3)) + 7, 20 * rng.normal(size=(40, 3)) - 100)
+    T = random_pose()
+    np.testing.assert_allclose(frame.normalize(frame.denormalize(T)), T, atol=1e-12)
+
+
 @pytest.mark.parametrize("offset", [0.0, 1.0, 1e6])
 @pytest.mark.parametrize("length", [1e-3, 1.0, 1e3])
 def test_a_pose_moves_the_same_points(offset: float, length: float) -> None:

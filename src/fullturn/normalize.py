@@ -32,6 +32,14 @@ class Normalization:
         T_target_source[:3, 3] += self.target_center - R @ self.source_center
         return T_target_source
 
+    def normalize(self, T_target_source: np.ndarray) -> np.ndarray:
+        """The pose (4, 4) between the normalized clouds: the inverse of `denormalize`."""
+        T_normalized = np.array(T_target_source, dtype=np.float64)
+        R = T_normalized[:3, :3]
+        T_normalized[:3, 3] += R @ self.source_center - self.target_center
+        T_normalized[:3, 3] /= self.length
+        return T_normalized
+
     def denormalize_covariance(self, covariance_normalized: np.ndarray) -> np.ndarray:
         """The covariance (6, 6) of a right perturbation, in the input's frames.
 

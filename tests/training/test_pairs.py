@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import pickle
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from scipy.spatial import cKDTree
 
+from fullturn.data.motion import move
 from fullturn.data.procedural import procedural_mesh
 from fullturn.data.shapes import PACK_KEYS
 from fullturn.errors import InputError, ReadError
+from fullturn.normalize import normalized_clouds
 from fullturn.training.batches import Steps, stream
 from fullturn.training.config import DataConfig, ShapesConfig, ValidationConfig
 from fullturn.training.pairs import RunPairs
@@ -55,6 +59,19 @@ def test_a_pair_depends_on_its_number_alone() -> None:
         assert np.array_equal(a.source, b.source)
         assert np.array_equal(a.T_target_source, b.T_target_source)
     assert not np.array_equal(first.pair(0).source, first.pair(1).source)
+
+
+def test_clouds_come_as_a_method_sees_them() -> None:
+    seen, made = (run_pairs(replace(DATA, frame=frame)).pair(3) for frame in ("method", "made"))
+    source, target, _ = normalized_clouds(made.source, made.target)
+    assert np.array_equal(seen.source, source.points)
+    assert np.array_equal(seen.target, target.points)
+    # Both poses say the same of the same points: clean pairs have exact copies.
+    for pair in (seen, made):
+        moved = move(pair.T_target_source, pair.source)
+        nearest = cKDTree(pair.target).query(moved)[0]
+        assert np.sum(nearest < 1e-9) >= 12
+    assert np.abs(seen.source.mean(axis=0)).max() < 1e-12 < np.abs(made.source.mean(axis=0)).max()
 
 
 def test_shapes_come_by_share_and_each_once_a_round() -> None:

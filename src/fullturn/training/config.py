@@ -52,6 +52,9 @@ class DataConfig(_Checked):
     classes: Literal["all", "seen"] = "all"  # seen: the first 20 of ModelNet40
     sample_points: int | None = _number(None, least=4)  # of an object; None: the protocol's
     cloud_points: int | None = _number(None, least=4)  # of each cloud; None: the protocol's
+    # method: clouds centered on their means and of one common length, as a method sees them;
+    # made: as the protocol makes them
+    frame: Literal["method", "made"] = "method"
     count: int | None = _number(None, least=1)  # different pairs; None: each one is new
     batch: int = _number(16, least=1)  # pairs in a step, over all processes
     seed: int = _number(0, least=0)
@@ -80,7 +83,7 @@ class LossConfig(_Checked):
     cycle: bool = False  # G9 in both directions
     inlier_weight: float = _number(0.01, least=0.0)  # ω of G9
     correspondence: float = _number(0.0, least=0.0)  # cross-entropy on the true partners
-    radius: float = _number(0.05, least=0.0)  # of a true partner, in radii of the object
+    radius: float = _number(0.05, least=0.0)  # of a true partner, in the lengths of the frame
 
     def _problems(self) -> Iterator[str]:
         yield from super()._problems()

@@ -15,6 +15,7 @@ from fullturn.data.pair import Pair
 from fullturn.data.protocols import PROTOCOLS, Protocol, make_pair
 from fullturn.data.shapes import MeshPack, ShapeSource
 from fullturn.errors import InputError
+from fullturn.normalize import normalized_clouds
 from fullturn.training.config import DataConfig, ShapesConfig, ValidationConfig
 
 # Which shapes are held out doesn't depend on a run's seed: runs are compared on the same ones.
@@ -54,7 +55,8 @@ class RunPairs:
         protocol = self._protocols[int(rng.integers(len(self._protocols)))]
         source, indices = self._places[place]
         turn = self._order(place, number // len(indices))
-        return make_pair(protocol, source, int(indices[turn[number % len(indices)]]), rng=rng)
+        pair = make_pair(protocol, source, int(indices[turn[number % len(indices)]]), rng=rng)
+        return pair if self._data.frame == "made" else in_frame_of_method(pair)
 
     @property
     def count(self) -> int:
@@ -127,6 +129,13 @@ class RunPairs:
 
     def _length(self, place: int) -> int:
         return len(self._places[place][1])
+
+
+def in_frame_of_method(pair: Pair) -> Pair:
+    """The pair as a method gets it: normalized clouds, the pose between these, no viewpoints."""
+    source, target, frame = normalized_clouds(pair.source, pair.target)
+    T_target_source = frame.normalize(pair.T_target_source)
+    return Pair(source.points.numpy(), target.points.numpy(), T_target_source, pair.name)
 
 
 @lru_cache(maxsize=32)
