@@ -147,3 +147,10 @@ def test_what_is_missing_leaves_its_part_out(readme, tmp_path, monkeypatch):
     # Of four pairs one is unrelated; three quarters of the others are right.
     assert "says 62.5 % on average and is right in 56.2 %" in text
     assert "Of the 1 pairs of different objects among them, 100.0 % get at most 0.2" in text
+
+
+def test_the_map_of_the_paper_names_files_that_exist():
+    text = (ROOT / "docs" / "paper-map.md").read_text(encoding="utf-8")
+    paths = re.findall(r"`((?:src|tests|recipes)/[\w/.-]+)`", text)
+    assert len(paths) > 40
+    assert [path for path in paths if not (ROOT / path).exists()] == []
