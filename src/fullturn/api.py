@@ -20,7 +20,7 @@ from fullturn.pose.explain import explain, pose_overlap
 from fullturn.pose.search import measure_pose
 from fullturn.pose.verdict import load_weights, log_probabilities, verdict_inputs
 from fullturn.result import Alternative, Registration, Symmetry
-from fullturn.threads import one_thread
+from fullturn.threads import torch_threads
 
 if TYPE_CHECKING:
     from fullturn.pose.symmetry import CloudSymmetry
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 __all__ = ["RegistrationInterrupted", "methods", "register", "register_many"]
 
 
-@one_thread()
+@torch_threads(1)
 def register(
     source: Any,
     target: Any,

@@ -1,4 +1,4 @@
-"""One torch thread while a registration runs."""
+"""Another number of torch threads for a while."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ import torch
 
 
 @contextmanager
-def one_thread() -> Iterator[None]:
-    """Run a block, or a function, with one torch thread; the caller's number is put back.
+def torch_threads(count: int | None) -> Iterator[None]:
+    """Run a block, or a function, with so many torch threads; the caller's number is put back.
 
-    The tensors of a registration are small: more threads mostly wait for one another, which costs
-    twenty times the time on a busy machine. One also makes the bytes of a result independent of
-    how many there are.
+    None: as many as there are. A registration takes one: its tensors are small, so that more
+    threads mostly wait for one another, which costs twenty times the time on a busy machine. One
+    also makes the bytes of a result independent of how many there are.
 
-    >>> with one_thread():
+    >>> with torch_threads(1):
     ...     torch.get_num_threads()
     1
     """
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
+    before = torch.get_num_threads()
+    torch.set_num_threads(before if count is None else count)
     try:
         yield
     finally:
-        torch.set_num_threads(threads)
+        torch.set_num_threads(before)

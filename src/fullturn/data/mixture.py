@@ -155,10 +155,14 @@ def _draw_even(
     sigma = float(rng.choice([0.005, 0.01, 0.01, 0.015]))
     few = int(np.exp(rng.uniform(np.log(12), np.log(400))))
     if kind == "plane":
+        protocol = PROTOCOLS["geotransformer/180"]
+        kept_share = float(rng.uniform(0.5, 0.8))
+        drawn = int(rng.integers(300, 800)) if rng.random() < 0.85 else few
         protocol = dataclasses.replace(
-            PROTOCOLS["geotransformer/180"],
-            kept_share=float(rng.uniform(0.5, 0.8)),
-            cloud_points=int(rng.integers(300, 800)) if rng.random() < 0.85 else few,
+            protocol,
+            kept_share=kept_share,
+            sample_points=many or protocol.sample_points,
+            cloud_points=many // 3 or drawn,
             noise_sigma=sigma if rng.random() < 0.8 else 0.0,
         )
     else:
@@ -169,8 +173,6 @@ def _draw_even(
             cloud_points=points * 3 // 4,
             noise_sigma=sigma if kind.startswith("noisy") else 0.0,
         )
-    if dense and kind == "plane":
-        protocol = dataclasses.replace(protocol, sample_points=many, cloud_points=many // 3)
     return make_pair(protocol, source, index, rng=rng)
 
 

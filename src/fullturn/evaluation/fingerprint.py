@@ -97,9 +97,8 @@ def _distributions() -> dict[str, list[str]]:
     return dict(metadata.packages_distributions())
 
 
-def describe(method: type[Method]) -> dict[str, Any]:
-    """What a run's summary says of a method."""
-    _, versions = fingerprint(method)
+def describe(method: type[Method], versions: dict[str, str]) -> dict[str, Any]:
+    """What a run's summary says of a method, with the versions of its packages."""
     return {
         "summary": method.summary,
         "reference": method.reference,

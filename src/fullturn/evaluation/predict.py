@@ -15,7 +15,7 @@ from fullturn.io.atomic import one_line
 from fullturn.methods.check import checked_estimate
 from fullturn.methods.registry import get
 from fullturn.normalize import normalized_clouds
-from fullturn.threads import one_thread
+from fullturn.threads import torch_threads
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +49,7 @@ class Predictor:
         return predict(self._methods[method], pair, seed=self.seed)
 
 
-@one_thread()
+@torch_threads(1)
 def predict(method: Any, pair: Pair, *, seed: int) -> Prediction:
     """The pose that ``fullturn.register`` returns for this pair, without its explanation.
 

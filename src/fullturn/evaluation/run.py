@@ -54,19 +54,22 @@ def evaluate(
         WriteError: a folder cannot be written.
     """
     names = _checked_names(sets, methods)
+    # Taken once: a run has one code of each method, whatever is edited meanwhile.
+    prints = {name: fingerprint(get(method)) for name, method in names.items()}
     make_folder(out / "pairs")
     summary: dict[str, Any] = {
         "format": FORMAT,
         "fullturn": fullturn.__version__,
         "commit": working_tree_commit(),
         "seed": seed,
-        "methods": {name: describe(get(method)) for name, method in names.items()},
+        "methods": {n: describe(get(method), prints[n][1]) for n, method in names.items()},
         "sets": {},
     }
     timing: dict[str, Any] = {"machine": machine(), "sets": {}}
     files: dict[str, str] = {}
     with _one_thread_each(), Crew(Predictor(seed), workers=workers) as crew:
-        oracle = _Oracle(names, seed, cache, crew, advance, note)
+        codes = {name: code for name, (code, _) in prints.items()}
+        oracle = _Oracle(names, codes, seed, cache, crew, advance, note)
         for pairs in sets:
             answers, rows = _answers_and_rows(pairs, oracle)
             summary["sets"][pairs.name] = {
@@ -74,9 +77,9 @@ def evaluate(
                 "count": len(pairs),
                 **_summaries(rows, seed=seed),
             }
-            groups = [pairs.group(index) for index in range(len(pairs))]
             timing["sets"][pairs.name] = {
-                name: _times_by_group(found, groups) for name, found in answers.items()
+                name: _times_by_group(found, [row.group for row in rows[name]])
+                for name, found in answers.items()
             }
             files[f"pairs/{slug(pairs.name)}.csv"] = _csv(rows)
     files["timing.json"] = json.dumps(timing, indent=1) + "\n"
@@ -134,6 +137,7 @@ class _Oracle:
     """Knows every method's answer to every pair: from the cache, or else from the crew."""
 
     methods: Mapping[str, str]
+    codes: Mapping[str, str]  # of each method, the hash of its code
     seed: int
     folder: Path
     crew: Crew
@@ -168,10 +172,8 @@ class _Oracle:
         return {name: [cache.found[h] for h in hashes] for name, cache in caches.items()}
 
     def _cache(self, set_name: str, name: str) -> PredictionCache:
-        code, _ = fingerprint(get(self.methods[name]))
-        cache = PredictionCache(
-            self.folder / slug(set_name) / f"{slug(name)}-{code[:16]}-{self.seed}.jsonl"
-        )
+        stem = f"{slug(name)}-{self.codes[name][:16]}-{self.seed}"
+        cache = PredictionCache(self.folder / slug(set_name) / f"{stem}.jsonl")
         if cache.damaged:
             self.note(
                 f"{cache.damaged} damaged lines of {cache.path} were dropped; their pairs are "

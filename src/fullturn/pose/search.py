@@ -49,12 +49,21 @@ class Finalists:
 Similarity = Callable[[LevelPair], Tensor]
 
 
+def surface_similarity(pair: LevelPair, *, radius: float = 12.0) -> Float[Tensor, "n m"]:
+    """Inner products of surface histograms out to `radius` point spacings."""
+    source, target = (
+        surface_histogram(level.points, level.normals, level.area, radius=radius * pair.spacing)
+        for level in (pair.source, pair.target)
+    )
+    return source @ target.T
+
+
 def find_finalists(
     source: Cloud,
     target: Cloud,
     *,
     config: SearchConfig = SearchConfig(),
-    similarity: Similarity | None = None,
+    similarity: Similarity = surface_similarity,
 ) -> Finalists:
     """Search the full range of poses; deterministic, no starting guess, no radius to tune.
 
@@ -68,8 +77,7 @@ def find_finalists(
         thinned = thin_pair(*fine, limit=config.coarse_points)
         coarse_level = level_pair(*thinned, support=fine)
     clock.lap("levels")
-    alike = (similarity or surface_similarity)(coarse_level)
-    T = _hypothesize(coarse_level, alike, config, clock)
+    T = _hypothesize(coarse_level, similarity, config, clock)
     T = _refine_on_grids(coarse_level, T, config, clock)
     if verify_level is not coarse_level:
         T = _polish(verify_level, T)
@@ -101,21 +109,13 @@ def _measure_level(pair: LevelPair, source: Cloud, target: Cloud, T: Tensor) -> 
     return measure(T, surfaces[0], surfaces[1], spacing=pair.spacing)
 
 
-def surface_similarity(pair: LevelPair, *, radius: float = 12.0) -> Float[Tensor, "n m"]:
-    """Inner products of surface histograms out to `radius` point spacings."""
-    source, target = (
-        surface_histogram(level.points, level.normals, level.area, radius=radius * pair.spacing)
-        for level in (pair.source, pair.target)
-    )
-    return source @ target.T
-
-
 def _hypothesize(
-    pair: LevelPair, similarity: Tensor, config: SearchConfig, clock: _Clock
+    pair: LevelPair, similarity: Similarity, config: SearchConfig, clock: _Clock
 ) -> Tensor:
     h, source, target = pair.spacing, pair.source, pair.target
+    alike = similarity(pair)
     clock.lap("describe")
-    matches = candidate_matches(similarity, limit=config.match_limit)
+    matches = candidate_matches(alike, limit=config.match_limit)
     agreement = hypotheses.compatibility(
         matches,
         source.points,

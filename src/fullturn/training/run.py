@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ import torch
 
 from fullturn.errors import DependencyError, InputError
 from fullturn.io.atomic import make_folder, write_atomic
+from fullturn.threads import torch_threads
 from fullturn.training.card import card
 from fullturn.training.checkpoint import State, has_state, load_state, weights_file
 from fullturn.training.config import TrainConfig
@@ -75,7 +75,7 @@ def train(
         FullturnError: the loss isn't finite.
     """
     device = choose_device(config.machine.device)
-    with _threads(config.machine.threads), join_ranks(device) as ranks:
+    with torch_threads(config.machine.threads), join_ranks(device) as ranks:
         if config.data.batch % ranks.size:
             raise InputError(
                 f"data.batch: expected a multiple of {ranks.size} processes, got "
@@ -207,13 +207,3 @@ def _export(
         save_loss_curves(out / CURVES, out, title=f"{config.name}: {trainer.pairs_seen:,} pairs")
     except DependencyError as error:
         note(f"no curves were drawn: {error}")
-
-
-@contextmanager
-def _threads(count: int | None) -> Iterator[None]:
-    before = torch.get_num_threads()
-    torch.set_num_threads(before if count is None else count)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)

@@ -50,9 +50,9 @@ class Gmcnet(_Learned):
     summary = "GMCNet, one shot: the pose of soft correspondences between learned descriptors"
 
     def estimate(self, source: Cloud, target: Cloud, *, rng: np.random.Generator) -> Estimate:
-        clouds = [cloud.points.float() for cloud in (source, target)]
+        clouds = source.points, target.points
         if max(map(len, clouds)) > _MOST_POINTS:
-            clouds = list(thin_pair(source.points, target.points, limit=_MOST_POINTS))
+            clouds = thin_pair(*clouds, limit=_MOST_POINTS)
         with torch.no_grad():
             found = self.network(*(CloudBatch.collate([points.float()]) for points in clouds))
         T = found.T_target_source.double()
