@@ -133,13 +133,14 @@ def relation(
             ri = rri(points, j, js)
         else:
             ri = [angle(normals[i], d), angle(normals[j], d), angle(normals[i], normals[j])]
-            ri.append(float(np.linalg.norm(d)))
-        rows.append(np.array(ri) if config.rif_only else np.concatenate([points[j], d, ri]))
+            ri.append(float(np.linalg.norm(d)) / 0.05)
+        both = np.concatenate([points[j], d / 0.05, ri])
+        rows.append(np.array(ri) if config.rif_only else both)
     return np.array(rows)
 
 
 def rri(points: np.ndarray, j: int, cluster: list[int]) -> list[float]:
-    """|p|, |q|, θ, φ of point j with the two others of its cluster nearest to it."""
+    """|p|, (|q| − |p|)/0.05, θ/0.05, φ of point j with the two others of its cluster nearest to it."""
     p = points[j]
     axis = p / np.linalg.norm(p)
     others = sorted((m for m in cluster if m != j), key=lambda m: np.linalg.norm(points[m] - p))[:2]
@@ -148,7 +149,8 @@ def rri(points: np.ndarray, j: int, cluster: list[int]) -> list[float]:
     for m, own, other in zip(others, tangents, tangents[::-1], strict=True):
         q = points[m]
         turn = math.atan2(axis @ np.cross(own, other), own @ other) % (2 * math.pi)
-        result += [np.linalg.norm(p), np.linalg.norm(q), angle(p, q), turn]
+        far = np.linalg.norm(p)
+        result += [far, (np.linalg.norm(q) - far) / 0.05, angle(p, q) / 0.05, turn]
     return result
 
 

@@ -127,7 +127,7 @@ def test_every_combination_of_words_is_a_recipe() -> None:
     names = set()
     for words in itertools.product(*family(FAMILY).values()):
         config = load_recipe(f"{FAMILY}:{','.join(words)}")
-        noise, angle, classes, features, given_input, parts, _ = words
+        noise, angle, features, given_input, parts, classes, _ = words
         assert config.data.protocols == (f"modelnet40/{noise}/{angle}",)
         assert config.data.classes == ("seen" if classes == "unseen" else "all")
         assert config.model.features == features

@@ -24,6 +24,10 @@ from fullturn.nn.rows import Rows, farthest_rows, nearest_rows, pack
 # The paper's neighborhood for normals, in the unit of the clouds.
 _NORMAL_RADIUS = 0.1
 _NORMAL_NEIGHBORS = 30
+# Differences between neighbors are told in this length, a usual spacing of points: beside angles and
+# coordinates, a layer with small first weights would hardly see them. What can be learned is the
+# same, as the first layer is linear.
+SPACING = 0.05
 # Coinciding points share the value almost alone.
 _SMALLEST_DISTANCE = 1e-10
 # Distances inside clusters that are held at once.
@@ -36,7 +40,9 @@ class Level:
 
     centers: Int[Tensor, " m"] | None  # None: every point
     neighbors: Int[Tensor, "m k"]  # nearest first: the center itself
-    relation: Float[Tensor, "m k c"]  # ρ_ij = [p_j, p_j − p_i, RI_ij], or RI_ij alone
+    # ρ_ij = [p_j, (p_j − p_i)/SPACING, RI_ij], or RI_ij alone; of RI_ij, too, small differences are
+    # in that unit: |d| of PPF; |q| − |p| in place of |q|, and θ, of RRI.
+    relation: Float[Tensor, "m k c"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,7 +156,9 @@ class _Surroundings:
         if self.config.features == "rri" or self.normals is None:
             return None
         fold = self.config.orientation == "none"
-        return ppf(self.points, self.normals, self.neighbors, fold=fold)
+        pairs = ppf(self.points, self.normals, self.neighbors, fold=fold)
+        pairs[..., 3] /= SPACING
+        return pairs
 
     def level(self, centers: Tensor | None, k: int) -> Level:
         """The graph around some of the points, with their k nearest."""
@@ -159,11 +167,20 @@ class _Surroundings:
         if centers is not None:
             at, neighbors = at[centers], neighbors[centers]
             pairs = None if pairs is None else pairs[centers]
-        relation = rri_in_clusters(self.points, neighbors) if pairs is None else pairs
+        relation = self._rri(neighbors) if pairs is None else pairs
         if not self.config.rif_only:
             absolute = gather(self.points, neighbors)
-            relation = torch.cat([absolute, absolute - at[:, None], relation], dim=-1)
+            apart = (absolute - at[:, None]) / SPACING
+            relation = torch.cat([absolute, apart, relation], dim=-1)
         return Level(centers, neighbors, relation)
+
+    def _rri(self, neighbors: Tensor) -> Tensor:
+        features = rri_in_clusters(self.points, neighbors)
+        p, q, theta = (features[..., channel::4] for channel in range(3))
+        q -= p
+        q /= SPACING
+        theta /= SPACING
+        return features
 
 
 def _normals(posed: Rows, neighbors: Tensor, distances: Tensor, config: GMCNetConfig) -> Tensor:
