@@ -140,7 +140,7 @@ def relation(
 
 
 def rri(points: np.ndarray, j: int, cluster: list[int]) -> list[float]:
-    """|p|, (|q| − |p|)/0.05, θ/0.05, φ of point j with the two others of its cluster nearest to it."""
+    """|p|, (|q| − |p|)/0.05, θ/0.05, φ of point j with the two of its cluster nearest to it."""
     p = points[j]
     axis = p / np.linalg.norm(p)
     others = sorted((m for m in cluster if m != j), key=lambda m: np.linalg.norm(points[m] - p))[:2]

@@ -24,9 +24,9 @@ from fullturn.nn.rows import Rows, farthest_rows, nearest_rows, pack
 # The paper's neighborhood for normals, in the unit of the clouds.
 _NORMAL_RADIUS = 0.1
 _NORMAL_NEIGHBORS = 30
-# Differences between neighbors are told in this length, a usual spacing of points: beside angles and
-# coordinates, a layer with small first weights would hardly see them. What can be learned is the
-# same, as the first layer is linear.
+# Differences between neighbors are told in this length, a usual spacing: otherwise, beside
+# angles and coordinates, a layer with small first weights hardly sees them. What can be learned is
+# the same, as the first layer is linear.
 SPACING = 0.05
 # Coinciding points share the value almost alone.
 _SMALLEST_DISTANCE = 1e-10

@@ -12,6 +12,7 @@ import torch
 
 from fullturn.errors import DependencyError, InputError
 from fullturn.io.atomic import make_folder, write_atomic
+from fullturn.methods.learned.weights import RUN_FILE
 from fullturn.threads import torch_threads
 from fullturn.training.card import card
 from fullturn.training.checkpoint import State, has_state, load_state, weights_file
@@ -24,7 +25,7 @@ from fullturn.training.ranks import Ranks, choose_device, join_ranks
 from fullturn.training.strict import to_table, to_toml
 from fullturn.training.validation import Score, Validation
 
-WEIGHTS, CARD, RECIPE, CURVES = "weights.safetensors", "weights.md", "recipe.toml", "loss.png"
+CARD, RECIPE, CURVES = "weights.md", "recipe.toml", "loss.png"
 # What may be different where a run goes on: where it runs, and for how long.
 _FREE = ("machine", "budget")
 
@@ -187,7 +188,7 @@ def _export(
     # One key: the order of several is not fixed, and equal runs are to give equal bytes.
     metadata = {"gmcnet": json.dumps(to_table(config)["model"])}
     content = weights_file(tensors, metadata)
-    write_atomic(out / WEIGHTS, content)
+    write_atomic(out / RUN_FILE, content)
     text = card(
         config,
         weights=content,

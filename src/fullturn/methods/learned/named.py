@@ -18,7 +18,7 @@ from fullturn.geometry import rigid
 from fullturn.geometry.cloud import Cloud
 from fullturn.methods.base import Estimate, Method
 from fullturn.methods.consensus import Consensus
-from fullturn.methods.learned.weights import find_weights, load_gmcnet
+from fullturn.methods.learned.weights import RUN_FILE, find_weights, load_gmcnet
 from fullturn.nn.clouds import CloudBatch
 from fullturn.pose.kabsch import nearest_rotation
 from fullturn.pose.levels import LevelPair, thin_pair
@@ -79,7 +79,8 @@ class GmcnetConsensus(_Learned, Consensus):
 def learned_method(name: str) -> type[Method]:
     """The class of "gmcnet", "gmcnet@WEIGHTS", "gmcnet+consensus" or "gmcnet@WEIGHTS+consensus".
 
-    WEIGHTS is a name inside the package or the path of a file.
+    WEIGHTS is a name inside the package or the path of a file; a file that a run wrote goes by the
+    name of its folder.
 
     Raises:
         InputError: another form, or no such weights.
@@ -92,5 +93,8 @@ def learned_method(name: str) -> type[Method]:
         )
     path = find_weights(parts[1] or DEFAULT_WEIGHTS)
     base = GmcnetConsensus if parts[2] else Gmcnet
-    known = {"name": name, "weights": path, "files": (path,), "__module__": base.__module__}
+    label = name
+    if path.name == RUN_FILE:
+        label = f"gmcnet@{path.resolve().parent.name}{parts[2] or ''}"
+    known = {"name": label, "weights": path, "files": (path,), "__module__": base.__module__}
     return type(base.__name__, (base,), known)

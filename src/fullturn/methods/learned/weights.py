@@ -14,6 +14,7 @@ from fullturn.errors import InputError, ReadError
 from fullturn.methods.learned.gmcnet import GMCNet
 from fullturn.nn.config import GMCNetConfig
 
+RUN_FILE = "weights.safetensors"  # of a run's folder
 _PREFIX, _SUFFIX = "gmcnet-", ".safetensors"
 _KEY = "gmcnet"  # of the metadata: the shape of the network as JSON
 
