@@ -5,7 +5,7 @@
 DIR holds the data packs. Rows are runs of recipes/open.toml and recipes/research.toml, in `--runs`;
 what is there already is kept, and an interrupted run goes on. Each is then measured on ModelNet40's
 `dev_eval` shapes, on which nothing is trained or chosen. results/trained/ gets a run folder for
-each set of pairs, logs, cards, tables.md and learning.png.
+each set of pairs, logs, cards, README.md with the tables, and learning.png.
 """
 
 from __future__ import annotations
@@ -434,7 +434,7 @@ def main() -> None:
     keep_logs(runs, told.runs, told.out)
     measure(runs, told.runs, data=told.data, out=told.out, workers=told.workers)
     draw(told.out).savefig(told.out / "learning.png", dpi=110)
-    write_atomic(told.out / "tables.md", page(told.out))
+    write_atomic(told.out / "README.md", page(told.out))
 
 
 if __name__ == "__main__":

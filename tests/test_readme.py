@@ -101,6 +101,14 @@ def test_full_tables_are_those_of_their_runs():
             assert markdown_section(table) in text, path
 
 
+def test_trained_tables_are_those_of_their_runs(monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
+    import trained_rows
+
+    folder = ROOT / "results" / "trained"
+    assert (folder / "README.md").read_text(encoding="utf-8") == trained_rows.page(folder)
+
+
 def test_rewriting_twice_changes_nothing_and_keeps_the_rest(readme):
     old = f"before\n{readme.BEGIN}\nold\n{readme.END}\nafter\n"
     once = readme.rewrite(old, "new\n")

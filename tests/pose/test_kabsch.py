@@ -81,6 +81,7 @@ def degenerate(dtype: torch.dtype) -> dict[str, tuple[Tensor, Tensor, Tensor]]:
         "coincident": (cloud[:1].expand(8, 3), cloud[1:2].expand(8, 3), ones),
         "all zero": (cloud * 0, cloud * 0, ones),
         "zero weights": (cloud, cloud.flip(0), ones * 0),
+        "subnormal weights": (cloud, cloud.flip(0), ones * 5e-324),
         "one weight": (cloud, cloud.flip(0), torch.eye(8, dtype=dtype)[0]),
         "two weights": (cloud, cloud.flip(0), torch.eye(8, dtype=dtype)[:2].sum(0)),
         "equal singular values": (square, square, ones),

@@ -24,6 +24,8 @@ _HOMES = {
     "fgr": ("fullturn.methods.external.fgr", "Fgr"),
     "kiss": ("fullturn.methods.external.kiss", "Kiss"),
 }
+# Weights in the package; others are asked for with @NAME or @PATH.
+_LEARNED = ("gmcnet", "gmcnet+consensus")
 _ALIASES = {"auto": DEFAULT, "icp": "icp-plane"}
 
 
@@ -40,15 +42,15 @@ class MethodInfo:
 
 def names() -> tuple[str, ...]:
     """The names of all registered methods, the default one first; imports none of them."""
-    return tuple(_HOMES)
+    return (*_HOMES, *_LEARNED)
 
 
 def get(name: str) -> type[Method]:
     """The class of a method.
 
     Names: those registered; "auto", the default one; "icp", the better one of ICP;
-    "gmcnet@WEIGHTS" and "gmcnet@WEIGHTS+consensus"; and one's own, "file.py:Class" or
-    "package.module:Class".
+    "gmcnet@WEIGHTS" and "gmcnet@WEIGHTS+consensus", by name or path; and one's own,
+    "file.py:Class" or "package.module:Class".
 
     Raises:
         InputError: no method has this name, or one's own cannot be had.
@@ -62,7 +64,7 @@ def get(name: str) -> type[Method]:
         return own_method(name)
     home = _HOMES.get(_ALIASES.get(name, name)) if isinstance(name, str) else None
     if home is None:
-        known = ", ".join((*_ALIASES, *_HOMES))
+        known = ", ".join((*_ALIASES, *names()))
         raise InputError(
             f"method: expected {known}, or your own as file.py:Class; got {name!r:.200}"
         )

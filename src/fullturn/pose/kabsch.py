@@ -27,7 +27,9 @@ def weighted_kabsch(
     tensor([2., 2., 2.], dtype=torch.float64)
     """
     total = weights.sum(-1, keepdim=True)
-    share = (weights / torch.where(total > 0, total, torch.ones_like(total))).unsqueeze(-1)
+    # Next to nothing counts as nothing: its gradients would be infinite.
+    some = total > torch.finfo(source.dtype).tiny ** 0.5
+    share = (weights / torch.where(some, total, torch.ones_like(total))).unsqueeze(-1)
     source_mean = (share * source).sum(-2, keepdim=True)
     target_mean = (share * target).sum(-2, keepdim=True)
     source_centered, target_centered = source - source_mean, target - target_mean
