@@ -153,10 +153,10 @@ def measure(runs: Sequence[Run], folder: Path, *, data: Path, out: Path, workers
         _evaluate(pairs, methods, out / slug(name), workers=workers)
     for title, part in RESEARCH.items():
         meshes = open_shapes(str(data / f"meshes_research.npz:{part}"))
-        for noise in ("clean", "noisy"):
-            pairs, _ = protocol_pairs([protocol(noise, "180")], meshes, count=300, seed=0)
-            methods = [method_spec(research_run(noise), folder)]
-            _evaluate(pairs, methods, out / slug(f"{title} {noise}"), workers=workers)
+        for run in (run for run in runs if run.recipe == "research"):
+            pairs, _ = protocol_pairs(run.protocols, meshes, count=300, seed=0)
+            place = out / slug(f"{title} {run.words[0]}")
+            _evaluate(pairs, [method_spec(run, folder)], place, workers=workers)
 
 
 def method_spec(run: Run, folder: Path, *, consensus: bool = False) -> str:
@@ -428,9 +428,12 @@ def main() -> None:
     parser.add_argument("--runs", type=Path, default=ROOT / "runs" / "rows")
     parser.add_argument("--out", type=Path, default=ROOT / "results" / "trained")
     parser.add_argument("--workers", type=int, default=1, help="runs or predictions at a time")
+    parser.add_argument("--no-training", action="store_true", help="measure what is trained")
     told = parser.parse_args()
     runs = all_runs()
-    train(runs, told.runs, data=told.data, workers=told.workers)
+    if not told.no_training:
+        train(runs, told.runs, data=told.data, workers=told.workers)
+    runs = [run for run in runs if (told.runs / run.name / RUN_FILE).exists()]
     keep_logs(runs, told.runs, told.out)
     measure(runs, told.runs, data=told.data, out=told.out, workers=told.workers)
     draw(told.out).savefig(told.out / "learning.png", dpi=110)

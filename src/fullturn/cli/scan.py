@@ -1,0 +1,180 @@
+"""`fullturn scan MESH`: range scans of a mesh from all around, with their true poses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from fullturn.cli.errors import tell
+
+if TYPE_CHECKING:
+    import trimesh
+
+    from fullturn.data.views import RangeView
+
+_MESH_SUFFIXES = (".ply", ".obj", ".stl", ".off", ".glb")
+
+
+def scan(
+    mesh: Annotated[
+        Path, typer.Argument(metavar="MESH", help="Triangles: PLY, OBJ, STL, OFF, GLB.")
+    ],
+    out: Annotated[Path, typer.Option(help="Folder for what is written; made if missing.")],
+    views: Annotated[int, typer.Option(min=1, help="Evenly spread directions.")] = 26,
+    points: Annotated[
+        int, typer.Option(min=0, help="At most so many per view; 0: every pixel's.")
+    ] = 2048,
+    distance: Annotated[
+        float, typer.Option(help="From the middle of the object to the eye, in radii; above 1.")
+    ] = 3.0,
+    noise: Annotated[
+        float,
+        typer.Option(
+            min=0.0, help="Of the depth at a distance of one radius, in radii; grows with depth²."
+        ),
+    ] = 0.0,
+    quantize: Annotated[
+        float,
+        typer.Option(min=0.0, help="Step of the depth at one radius; grows with depth², too."),
+    ] = 0.0,
+    grazing: Annotated[
+        float,
+        typer.Option(
+            min=0.0, max=90.0, metavar="DEG", help="Returns at flatter angles may get lost."
+        ),
+    ] = 0.0,
+    flying: Annotated[
+        float,
+        typer.Option(min=0.0, max=1.0, help="Share of edge pixels that land between two surfaces."),
+    ] = 0.0,
+    holes: Annotated[int, typer.Option(min=0, help="Random patches without a return.")] = 0,
+    plane: Annotated[
+        bool, typer.Option("--plane", help="Stand the object on a plane; all eyes are above it.")
+    ] = False,
+    seed: Annotated[int, typer.Option(min=0, help="The same seed gives the same scans.")] = 0,
+    width: Annotated[int, typer.Option(min=1, help="Pixels a side of the depth images.")] = 320,
+) -> None:
+    """Scan a MESH with a virtual depth camera from all around.
+
+    Writes view_00.ply and so on, each in its camera's frame, poses.json with the true poses, and
+    contact_sheet.png where matplotlib is installed.
+    """
+    from dataclasses import asdict
+
+    import numpy as np
+
+    from fullturn.data.sensor import Sensor
+    from fullturn.data.views import view_mesh
+    from fullturn.errors import DependencyError
+    from fullturn.io.atomic import make_folder, write_atomic
+    from fullturn.io.save import save_cloud
+    from fullturn.progress import progress_bar
+    from fullturn.viz.contact_sheet import save_contact_sheet
+
+    sensor = Sensor(noise=noise, quantize=quantize, grazing_deg=grazing, flying=flying, holes=holes)
+    scans = view_mesh(
+        _read_mesh(mesh),
+        views=views,
+        distance=distance,
+        points=points or None,
+        sensor=sensor,
+        plane=plane,
+        width=width,
+        height=width,
+        rng=np.random.default_rng(seed),
+    )
+    make_folder(out)
+
+    digits = max(2, len(str(views - 1)))
+    entries, depths = [], []
+    with progress_bar("scanning", views) as advance:
+        for number, view in enumerate(scans):
+            name = f"view_{number:0{digits}d}"
+            entries.append({"name": name, **_entry(view)})
+            if len(view.points_camera):
+                save_cloud(out / f"{name}.ply", view.points_camera)
+            depths.append(view.image.depth)
+            advance(1)
+    about = {
+        "mesh": mesh.name,
+        "seed": seed,
+        "distance": distance,
+        "sensor": asdict(sensor),
+        "plane": plane,
+    }
+    write_atomic(out / "poses.json", _json(about, entries))
+
+    counts = [entry["points"] for entry in entries]
+    blind = [entry["name"] for entry in entries if not entry["points"]]
+    if blind:
+        tell(f"{len(blind)} of {views} views see nothing, no cloud is written: {', '.join(blind)}")
+    typer.echo(
+        f"{views - len(blind)} of {views} views have points, {min(counts):,} to {max(counts):,} "
+        f"each; clouds and poses.json: {out}"
+    )
+    try:
+        save_contact_sheet(
+            out / "contact_sheet.png",
+            depths,
+            focals=[entry["focal"] for entry in entries],
+            labels=[f"{entry['name']}: {entry['points']:,}" for entry in entries],
+        )
+    except DependencyError as error:
+        typer.echo(f"No picture was drawn: {error}")
+    else:
+        typer.echo(f"The picture: {out / 'contact_sheet.png'}")
+
+
+def _entry(view: RangeView) -> dict[str, Any]:
+    """What poses.json says of a view; lengths in the unit of the mesh, `focal` in pixels."""
+    from fullturn.data.motion import invert
+
+    camera = view.camera
+    return {
+        "points": len(view.points_camera),
+        "plane_points": int(view.on_plane.sum()),
+        "T_object_camera": invert(camera.T_camera_object).tolist(),
+        "viewpoint": camera.center.tolist(),
+        "focal": camera.focal,
+        "width": camera.width,
+        "height": camera.height,
+    }
+
+
+def _json(about: dict[str, Any], entries: list[dict[str, Any]]) -> str:
+    """One line a view, so that a person can read it."""
+    import json
+
+    head = json.dumps(about, indent=1).removesuffix("\n}")
+    views = ",\n  ".join(json.dumps(entry) for entry in entries)
+    return f'{head},\n "views": [\n  {views}\n ]\n}}\n'
+
+
+def _read_mesh(path: Path) -> trimesh.Trimesh:
+    import trimesh
+
+    from fullturn.errors import InputError, ReadError
+    from fullturn.io.atomic import one_line
+    from fullturn.io.mesh import read_mesh
+    from fullturn.io.ply import read_ply
+
+    name, suffix = one_line(path), path.suffix.lower()
+    if suffix not in _MESH_SUFFIXES:
+        raise ReadError(
+            f"{name}: expected a mesh that ends in one of {', '.join(_MESH_SUFFIXES)}, found "
+            f"{one_line(suffix) if suffix else 'no suffix'}; rename or convert it"
+        )
+    try:
+        data = path.read_bytes()
+    except (OSError, ValueError) as error:  # ValueError: a zero byte in the path
+        reason = getattr(error, "strerror", None) or one_line(error)
+        raise ReadError(f"{name}: cannot be read ({reason}); check the path") from error
+    raw = read_ply(data, name) if suffix == ".ply" else read_mesh(data, suffix, name)
+    if raw.faces is None or len(raw.faces) == 0:
+        raise InputError(
+            f"{name}: expected a mesh with triangles, found {len(raw.points)} points without any; "
+            "give a mesh"
+        )
+    return trimesh.Trimesh(raw.points, raw.faces, process=False)
