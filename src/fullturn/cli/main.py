@@ -21,6 +21,8 @@ _VERBS = {
     "table": "fullturn.cli.table",
     "study": "fullturn.cli.study",
     "freeze": "fullturn.cli.freeze",
+    "build": "fullturn.cli.build",
+    "scan": "fullturn.cli.scan",
     "train": "fullturn.cli.train",
 }
 

@@ -8,7 +8,9 @@ from pathlib import Path
 
 from fullturn.data.frozen import FrozenPairs
 from fullturn.data.mixture import MixedPairs
+from fullturn.data.mvp_rg import MvpRgPairs, is_built
 from fullturn.data.official import ModelNet40Hdf5, OfficialModelNet40
+from fullturn.data.official_mvp import OfficialMvp, is_mvp_file
 from fullturn.data.pair_set import PairSet
 from fullturn.data.protocols import PROTOCOLS, ProtocolPairs
 from fullturn.data.shapes import (
@@ -31,8 +33,8 @@ _SHAPES = (
     "modelnet40_ply_hdf5_2048 folder or .h5 file [:train], procedural[:COUNT[:SEED]]"
 )
 _PAIRS = (
-    "a frozen .npz file, a published .h5 test file [:clean,complete,unseen], or a folder of "
-    "objects with poses.json and pairs.csv"
+    "a frozen .npz file, a published .h5 file [:clean,complete,unseen], a folder that "
+    "`fullturn build mvp-rg` made [:train], or a folder of objects with poses.json and pairs.csv"
 )
 _OFFICIAL_WORDS = ("noisy", "clean", "partial", "complete", "unseen")
 
@@ -81,10 +83,12 @@ def open_shapes(spec: str) -> ShapeSource:
 
 
 def open_pairs(path: str | Path) -> PairSet:
-    """The pairs that a path holds: frozen (.npz), published (.h5), or real scans (a folder).
+    """The pairs that a path holds: frozen (.npz), published (.h5), built or scanned (a folder).
 
-    A published file is opened as its noisy, partial clouds of all classes; `FILE.h5:clean,unseen`
-    chooses others, out of noisy or clean, partial or complete, unseen.
+    A published file of ModelNet40 is opened as its noisy, partial clouds of all classes;
+    `FILE.h5:clean,unseen` chooses others, out of noisy or clean, partial or complete, unseen. A
+    published file of MVP-RG has one kind of clouds. Of a folder that `fullturn build mvp-rg` made,
+    the test pairs are opened, of `FOLDER:train` those for training.
     A relative path that doesn't exist is looked for below the environment variable FULLTURN_DATA.
 
     Raises:
@@ -94,7 +98,9 @@ def open_pairs(path: str | Path) -> PairSet:
     name, part = _split_part(str(path))
     place = find(name, expected=_PAIRS)
     if place.suffix.lower() in (".h5", ".hdf5"):
-        return _official(place, part)
+        return OfficialMvp(place) if part is None and is_mvp_file(place) else _official(place, part)
+    if place.is_dir() and is_built(place):
+        return MvpRgPairs(place, split=part or "test")
     if part is None and place.is_dir():
         return StanfordScans(place)
     if part is None and place.suffix.lower() == ".npz":
