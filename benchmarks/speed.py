@@ -28,7 +28,8 @@ from fullturn.data.perturb import crop_nearest, far_viewpoint, jitter, resample
 from fullturn.data.procedural import demo_object, sample_surface
 from fullturn.evaluation.layout import Table, markdown
 from fullturn.evaluation.metrics import rotation_error_deg
-from fullturn.evaluation.run import THREAD_VARIABLES, machine
+from fullturn.evaluation.run import machine
+from fullturn.workers import THREAD_VARIABLES
 
 SIZES = (768, 2_048, 20_000, 1_000_000)
 

@@ -8,8 +8,7 @@ from collections.abc import Iterable
 from functools import partial
 from typing import Any
 
-from fullturn.errors import FullturnError, InputError
-from fullturn.io.atomic import one_line
+from fullturn.errors import FullturnError, InputError, one_line
 from fullturn.io.load import load_cloud
 from fullturn.methods.registry import get
 from fullturn.progress import progress_bar

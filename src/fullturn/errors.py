@@ -21,3 +21,13 @@ class WriteError(FullturnError, OSError):
 
 class DependencyError(FullturnError, ImportError):
     """An optional package is missing; the message names the extra to install."""
+
+
+def one_line(text: object) -> str:
+    """Any text as one printable line, so that an error message is always one line.
+
+    >>> one_line("a\\nb")
+    'a b'
+    """
+    line = " ".join(str(text).split())
+    return line.encode("utf-8", "backslashreplace").decode() or "(empty)"

@@ -5,13 +5,14 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from multiprocessing.connection import Connection, wait
 from typing import Any
 
-from fullturn.errors import FullturnError, InputError
-from fullturn.io.atomic import one_line
+from fullturn.errors import FullturnError, InputError, one_line
 
+THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 _CANNOT_START = (
     "worker processes cannot start: call this from under "
     '`if __name__ == "__main__":`, or with workers=1'
@@ -166,3 +167,18 @@ def _serve(pipe: Connection, work: Callable[[Any], Any]) -> None:
         except (EOFError, BrokenPipeError):
             return  # the parent is gone, or has let go
         answer = work(task)
+
+
+@contextmanager
+def one_thread_each() -> Iterator[None]:
+    """Worker processes read these variables before they load their libraries."""
+    before = {variable: os.environ.get(variable) for variable in THREAD_VARIABLES}
+    os.environ.update(dict.fromkeys(THREAD_VARIABLES, "1"))
+    try:
+        yield
+    finally:
+        for variable, value in before.items():
+            if value is None:
+                del os.environ[variable]
+            else:
+                os.environ[variable] = value

@@ -68,14 +68,13 @@ def build(
     """
     from fullturn.data.mvp_build import build_mvp_rg
     from fullturn.data.mvp_rg import MvpRgConfig
-    from fullturn.evaluation.run import _one_thread_each
     from fullturn.progress import progress_bar
-    from fullturn.workers import Crew, check_workers
+    from fullturn.workers import Crew, check_workers, one_thread_each
 
     count = check_workers(workers)
 
     def run(work: PairMaker, tasks: Iterable[Task], done: Done) -> None:
-        with _one_thread_each(), Crew(work, workers=count) as crew:
+        with one_thread_each(), Crew(work, workers=count) as crew:
             crew.run(tasks, done)
 
     config = MvpRgConfig(

@@ -65,7 +65,7 @@ def freeze(pairs: PairSet, path: str | os.PathLike[str]) -> dict[str, Any]:
         "sha256": _sha256(arrays),
     }
     text = json.dumps(manifest, ensure_ascii=False)
-    write_atomic(goal, _npz({"manifest": np.array(text), **arrays}))
+    write_atomic(goal, npz_bytes({"manifest": np.array(text), **arrays}))
     return manifest
 
 
@@ -145,7 +145,7 @@ def _sha256(arrays: dict[str, np.ndarray]) -> str:
     return digest.hexdigest()
 
 
-def _npz(arrays: dict[str, np.ndarray]) -> bytes:
+def npz_bytes(arrays: dict[str, np.ndarray]) -> bytes:
     # np.savez leaves the date of the members to the zip library; here it is always the same.
     # Nothing is compressed: noise doesn't shrink, and compressors differ between machines.
     stream = io.BytesIO()

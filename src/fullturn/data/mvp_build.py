@@ -27,8 +27,8 @@ from fullturn.data.mvp_shards import TALLIED, Shard, ShardSummary, shard_bytes, 
 from fullturn.data.provenance import working_tree_commit
 from fullturn.data.raycast import Raycaster
 from fullturn.data.shapes import MeshSource
-from fullturn.errors import FullturnError, InputError, WriteError
-from fullturn.io.atomic import make_folder, one_line, write_atomic
+from fullturn.errors import FullturnError, InputError, WriteError, one_line
+from fullturn.io.atomic import make_folder, write_atomic
 
 Done = Callable[[int, MadePair | FullturnError], None]
 # Calls done(number, work(task)) for every task, in any order.

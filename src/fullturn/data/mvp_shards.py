@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from fullturn.data.frozen import _npz
+from fullturn.data.frozen import npz_bytes
 from fullturn.data.mvp_pair import MadePair
 from fullturn.data.mvp_rg import SHARD_KEYS
 from fullturn.data.provenance import sha256_of_file
@@ -57,7 +57,7 @@ def shard_bytes(shard: Shard, pairs: Sequence[MadePair]) -> bytes:
         return np.array([getattr(pair, key) for pair in pairs], dtype=dtype)
 
     told = {**shard.facts(), "skips": [skip for pair in pairs for skip in pair.skips]}
-    return _npz(
+    return npz_bytes(
         {
             "shard": np.array(json.dumps(told, ensure_ascii=False)),
             "source": column("source", "<f4"),

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -12,15 +10,14 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fullturn.data.categories import MODELNET40_CLASSES, SEEN_CLASSES
+from fullturn.data.hdf5 import check_floats, check_labels, check_rigid, read_arrays
 from fullturn.data.pair import Pair
 from fullturn.data.pair_set import PairSet
 from fullturn.data.provenance import sha256_of_file, sha256_of_files
 from fullturn.data.stored import MODELNET40_LICENSE, StoredPoints
-from fullturn.errors import DependencyError, InputError, ReadError
-from fullturn.io.atomic import one_line
+from fullturn.errors import InputError, ReadError
 
-_RIGID = 1e-4  # the transforms are stored in single precision
-_ANGLE_SLACK_DEG = 0.01  # for the same reason
+_ANGLE_SLACK_DEG = 0.01  # the transforms are stored in single precision
 
 
 class ModelNet40Hdf5(StoredPoints):
@@ -45,11 +42,13 @@ class ModelNet40Hdf5(StoredPoints):
             raise ReadError(
                 f"expected files ply_data_{split}*.h5 in {path}, found none; check the folder"
             )
-        read = [_read(file, ("data", "label")) for file in self._files]
+        read = [read_arrays(file, ("data", "label")) for file in self._files]
         for file, arrays in zip(self._files, read, strict=True):
-            _check(file, "data", arrays["data"], (len(arrays["label"]), None, 3))
+            check_floats(file, "data", arrays["data"], (len(arrays["label"]), None, 3))
         points = np.concatenate([arrays["data"] for arrays in read])
-        label = _labels(self._root, np.concatenate([a["label"].ravel() for a in read]), classes)
+        label = check_labels(
+            self._root, np.concatenate([a["label"].ravel() for a in read]), classes
+        )
         names = [f"{classes[k]}_{number:05d}" for number, k in enumerate(label)]
         super().__init__(points, names, [classes[k] for k in label])
 
@@ -90,14 +89,16 @@ class OfficialModelNet40(PairSet):
         extent, noise = "partial" if partial else "complete", "noise" if noisy else "clean"
         keys = [f"{extent}_{side}_{noise}" for side in ("src", "tgt")]
         count = 768 if partial else 1024
-        arrays = _read(self._path, ("label", "transforms", *keys), first=dict.fromkeys(keys, count))
+        arrays = read_arrays(
+            self._path, ("label", "transforms", *keys), first=dict.fromkeys(keys, count)
+        )
         total = arrays["label"].size
-        _check(self._path, "transforms", arrays["transforms"], (total, 4, 4))
+        check_floats(self._path, "transforms", arrays["transforms"], (total, 4, 4))
         for key in keys:
-            _check(self._path, key, arrays[key], (total, count, 3))
-        label = _labels(self._path, arrays["label"].ravel(), list(MODELNET40_CLASSES))
+            check_floats(self._path, key, arrays[key], (total, count, 3))
+        label = check_labels(self._path, arrays["label"].ravel(), list(MODELNET40_CLASSES))
         transforms = arrays["transforms"].astype(np.float64)
-        _check_rigid(self._path, transforms)
+        check_rigid(self._path, transforms)
         keep = label >= len(SEEN_CLASSES) if unseen else np.ones(total, dtype=bool)
         self._number = np.flatnonzero(keep)
         if len(self._number) == 0:
@@ -137,85 +138,6 @@ class OfficialModelNet40(PairSet):
         )
         name = f"{MODELNET40_CLASSES[self._label[index]]}_{number:05d}"
         return Pair(source, target, self._transforms[index].copy(), name)
-
-
-@contextmanager
-def _hdf5(path: Path) -> Iterator[Any]:
-    try:
-        import h5py
-    except ImportError as error:
-        raise DependencyError(
-            f'reading {path} needs h5py; install it with: pip install "fullturn[data]"'
-        ) from error
-    try:
-        with h5py.File(path, "r") as file:
-            yield file
-    except ReadError:
-        raise
-    except OSError as error:
-        raise ReadError(
-            f"expected an HDF5 file at {path}, cannot read it: {one_line(error)}; "
-            "check the path, or download it again"
-        ) from error
-
-
-def _read(
-    path: Path, keys: tuple[str, ...], *, first: dict[str, int] | None = None
-) -> dict[str, np.ndarray]:
-    """The arrays of these keys; of those in `first`, only so many points a row."""
-    with _hdf5(path) as file:
-        missing = [key for key in keys if key not in file or not hasattr(file[key], "shape")]
-        if missing:
-            raise ReadError(
-                f"{path}: expected the keys {', '.join(keys)}, missing: {', '.join(missing)}; "
-                f"there are: {', '.join(sorted(file)) or 'none'}; it is a file of another kind"
-            )
-        arrays: dict[str, np.ndarray] = {}
-        for key in keys:
-            count = (first or {}).get(key)
-            whole = count is None or file[key].ndim != 3
-            arrays[key] = file[key][...] if whole else file[key][:, :count]
-        return arrays
-
-
-def _check(path: Path, key: str, array: np.ndarray, shape: tuple[int | None, ...]) -> None:
-    fits = array.ndim == len(shape) and array.dtype.kind == "f"
-    fits = fits and all(want in (None, got) for want, got in zip(shape, array.shape, strict=True))
-    if not fits:
-        wanted = ", ".join("any" if want is None else str(want) for want in shape)
-        raise ReadError(
-            f"{path}: expected {key} as floats of shape ({wanted}), found {array.dtype} of shape "
-            f"{array.shape}; it is a file of another kind"
-        )
-    if not np.isfinite(array).all():
-        raise ReadError(f"{path}: expected finite numbers in {key}, found NaN; download it again")
-
-
-def _check_rigid(path: Path, transforms: np.ndarray) -> None:
-    R = transforms[:, :3, :3]
-    off = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
-    off = np.maximum(off, np.abs(np.linalg.det(R) - 1.0))
-    off = np.maximum(off, np.abs(transforms[:, 3] - (0.0, 0.0, 0.0, 1.0)).max(axis=1))
-    if off.max() > _RIGID:
-        worst = int(off.argmax())
-        raise ReadError(
-            f"{path}: expected rigid transforms, number {worst} is off by {off[worst]:.2g}; "
-            "download it again"
-        )
-
-
-def _labels(path: Path, label: np.ndarray, classes: list[str]) -> np.ndarray:
-    if (
-        label.dtype.kind not in "iu"
-        or label.size == 0
-        or not 0 <= label.min() <= label.max() < len(classes)
-    ):
-        raise ReadError(
-            f"{path}: expected labels from 0 to {len(classes) - 1}, found {label.dtype} "
-            f"{'none' if label.size == 0 else f'from {label.min()} to {label.max()}'}; "
-            "it is a file of another kind"
-        )
-    return label.astype(np.int64)
 
 
 def _class_names(file: Path) -> list[str]:

@@ -9,8 +9,14 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from fullturn.data.hdf5 import (
+    check_floats,
+    check_labels,
+    check_rigid,
+    open_hdf5,
+    read_arrays,
+)
 from fullturn.data.mvp_rg import group_name
-from fullturn.data.official import _check, _check_rigid, _hdf5, _labels, _read
 from fullturn.data.pair import Pair
 from fullturn.data.pair_set import PairSet
 from fullturn.data.provenance import sha256_of_file
@@ -57,21 +63,21 @@ class OfficialMvp(PairSet):
         label_key = next((key for key in _LABELS if key in found), _LABELS[0])
         is_test = self._split == "test"
         keys = _TEST_KEYS if is_test else _TRAIN_KEYS
-        arrays = _read(self._path, (*keys, label_key))
+        arrays = read_arrays(self._path, (*keys, label_key))
         clouds = _TEST_CLOUDS if is_test else _TRAIN_CLOUDS
         for key in clouds:
-            _check(self._path, key, arrays[key], (None, None, 3))
+            check_floats(self._path, key, arrays[key], (None, None, 3))
         self._source, self._target = (arrays[key] for key in clouds)
         n = len(self._source)
-        self._label = _labels(self._path, arrays[label_key].ravel(), list(MVP_CLASSES))
+        self._label = check_labels(self._path, arrays[label_key].ravel(), list(MVP_CLASSES))
         self._match_level = _levels(self._path, "match_level", arrays["match_level"], n)
         self._rotation_level = np.zeros(n, dtype=np.int64)
         self._transforms = np.tile(np.eye(4), (n, 1, 1))
         if is_test:
             self._rotation_level = _levels(self._path, "rot_level", arrays["rot_level"], n)
-            _check(self._path, "transforms", arrays["transforms"], (n, 4, 4))
+            check_floats(self._path, "transforms", arrays["transforms"], (n, 4, 4))
             self._transforms = arrays["transforms"].astype(np.float64)
-            _check_rigid(self._path, self._transforms)
+            check_rigid(self._path, self._transforms)
             if {"pose_src", "pose_tgt"} <= found:
                 _check_poses(self._path, self._transforms)
         if not n == len(self._target) == len(self._label):
@@ -123,7 +129,7 @@ def is_mvp_file(path: Path) -> bool:
 
 
 def _keys(path: Path) -> set[str]:
-    with _hdf5(path) as file:
+    with open_hdf5(path) as file:
         return set(file)
 
 
@@ -152,10 +158,10 @@ def _levels(path: Path, key: str, levels: np.ndarray, count: int) -> np.ndarray:
 
 def _check_poses(path: Path, transforms: Float[np.ndarray, "n 4 4"]) -> None:
     """That transforms = pose_tgt · pose_src⁻¹, so that the direction is the one that we think."""
-    poses = _read(path, ("pose_src", "pose_tgt"))
+    poses = read_arrays(path, ("pose_src", "pose_tgt"))
     for key, pose in poses.items():
-        _check(path, key, pose, transforms.shape)
-        _check_rigid(path, pose.astype(np.float64))
+        check_floats(path, key, pose, transforms.shape)
+        check_rigid(path, pose.astype(np.float64))
     pose_src, pose_tgt = (poses[key].astype(np.float64) for key in ("pose_src", "pose_tgt"))
     off = np.abs(pose_tgt @ np.linalg.inv(pose_src) - transforms).max(axis=(1, 2))
     if off.max(initial=0.0) > _CONSISTENT:

@@ -20,8 +20,7 @@ from jaxtyping import Float
 from fullturn.data.procedural import procedural_family, procedural_mesh
 from fullturn.data.provenance import sha256_of_file, sha256_of_files
 from fullturn.data.surface import sample_surface
-from fullturn.errors import InputError, ReadError
-from fullturn.io.atomic import one_line
+from fullturn.errors import InputError, ReadError, one_line
 
 _MESH_SUFFIXES = {".glb", ".gltf", ".obj", ".off", ".ply", ".stl"}
 _NORMALIZATION_COUNT = 4096

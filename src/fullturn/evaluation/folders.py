@@ -12,9 +12,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
-from fullturn.errors import InputError, ReadError
+from fullturn.errors import InputError, ReadError, one_line
 from fullturn.evaluation.run import FORMAT, slug
-from fullturn.io.atomic import one_line
 
 
 @dataclass(frozen=True)

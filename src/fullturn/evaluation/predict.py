@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from fullturn.data.pair import Pair
-from fullturn.io.atomic import one_line
+from fullturn.errors import one_line
 from fullturn.methods.check import checked_estimate
 from fullturn.methods.registry import get
 from fullturn.normalize import normalized_clouds

@@ -5,10 +5,8 @@ from __future__ import annotations
 import csv
 import io
 import json
-import os
 import platform
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -26,10 +24,9 @@ from fullturn.evaluation.predict import Prediction, Predictor, pair_hash
 from fullturn.evaluation.score import Score, ScoredPair, summarize
 from fullturn.io.atomic import make_folder, write_atomic
 from fullturn.methods.registry import get
-from fullturn.workers import Crew
+from fullturn.workers import Crew, one_thread_each
 
 FORMAT = 1
-THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 def evaluate(
@@ -67,7 +64,7 @@ def evaluate(
     }
     timing: dict[str, Any] = {"machine": machine(), "sets": {}}
     files: dict[str, str] = {}
-    with _one_thread_each(), Crew(Predictor(seed), workers=workers) as crew:
+    with one_thread_each(), Crew(Predictor(seed), workers=workers) as crew:
         codes = {name: code for name, (code, _) in prints.items()}
         oracle = _Oracle(names, codes, seed, cache, crew, advance, note)
         for pairs in sets:
@@ -180,21 +177,6 @@ class _Oracle:
                 "predicted again"
             )
         return cache
-
-
-@contextmanager
-def _one_thread_each() -> Iterator[None]:
-    """Worker processes read these variables before they load their libraries."""
-    before = {variable: os.environ.get(variable) for variable in THREAD_VARIABLES}
-    os.environ.update(dict.fromkeys(THREAD_VARIABLES, "1"))
-    try:
-        yield
-    finally:
-        for variable, value in before.items():
-            if value is None:
-                del os.environ[variable]
-            else:
-                os.environ[variable] = value
 
 
 def _summaries(rows: Mapping[str, Sequence[Score]], *, seed: int) -> dict[str, Any]:

@@ -7,8 +7,7 @@ import zipfile
 
 import numpy as np
 
-from fullturn.errors import ReadError
-from fullturn.io.atomic import one_line
+from fullturn.errors import ReadError, one_line
 from fullturn.io.raw import Raw
 
 _KEYS = ("points", "xyz", "positions", "vertices", "pos")

@@ -6,7 +6,7 @@ import os
 import tempfile
 from pathlib import Path
 
-from fullturn.errors import WriteError
+from fullturn.errors import WriteError, one_line
 
 
 def write_atomic(path: str | os.PathLike[str], content: bytes | str) -> None:
@@ -84,16 +84,6 @@ def make_folder(path: str | os.PathLike[str]) -> Path:
             f"cannot make the folder {one_line(path)}: {reason}; choose another one"
         ) from error
     return folder
-
-
-def one_line(text: object) -> str:
-    """Any text as one printable line, so that an error message is always one line.
-
-    >>> one_line("a\\nb")
-    'a b'
-    """
-    line = " ".join(str(text).split())
-    return line.encode("utf-8", "backslashreplace").decode() or "(empty)"
 
 
 def _mode_of(goal: Path) -> int:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fullturn.errors import InputError
-from fullturn.io.atomic import one_line
+from fullturn.errors import InputError, one_line
 
 # Squares, and sums of squares over millions of points, stay within float64 between these.
 _LARGEST, _SMALLEST = 1e150, 1e-140

@@ -11,9 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from fullturn.errors import InputError, ReadError
+from fullturn.errors import InputError, ReadError, one_line
 from fullturn.io.arrays import read_npy, read_npz
-from fullturn.io.atomic import one_line
 from fullturn.io.check import as_points, check_pose, check_shape, precision_of
 from fullturn.io.mesh import read_mesh, sample_surface
 from fullturn.io.pcd import read_pcd

@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from fullturn.errors import InputError, ReadError
-from fullturn.io.atomic import one_line
+from fullturn.errors import InputError, ReadError, one_line
 from fullturn.io.raw import Raw
 
 

@@ -6,8 +6,7 @@ import io
 
 import numpy as np
 
-from fullturn.errors import ReadError
-from fullturn.io.atomic import one_line
+from fullturn.errors import ReadError, one_line
 from fullturn.io.raw import Raw
 
 _KEYS = {"VERSION", "FIELDS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS"}

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from fullturn.errors import InputError, ReadError
-from fullturn.io.atomic import check_output, one_line, write_atomic
+from fullturn.errors import InputError, ReadError, one_line
+from fullturn.io.atomic import check_output, write_atomic
 
 TRANSFORM_SUFFIXES = (".txt", ".json")
 

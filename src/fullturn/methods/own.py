@@ -10,7 +10,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING
 
-from fullturn.errors import InputError
+from fullturn.errors import InputError, one_line
 
 if TYPE_CHECKING:
     from fullturn.methods.base import Method
@@ -75,7 +75,7 @@ def _from_name(name: str) -> ModuleType:
 
 
 def _failed(home: str, error: BaseException) -> InputError:
-    told = " ".join(str(error).split())[:300]
+    told = one_line(error)[:300]
     return InputError(f"method: {home} cannot be imported: {type(error).__name__}: {told}")
 
 

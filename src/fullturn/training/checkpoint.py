@@ -20,8 +20,8 @@ import torch
 from safetensors.torch import load, save
 from torch import Tensor
 
-from fullturn.errors import ReadError
-from fullturn.io.atomic import make_folder, one_line, write_atomic
+from fullturn.errors import ReadError, one_line
+from fullturn.io.atomic import make_folder, write_atomic
 
 FORMAT = 1
 _FOLDER = "checkpoints"

@@ -9,8 +9,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from fullturn.errors import ReadError, WriteError
-from fullturn.io.atomic import one_line, write_atomic
+from fullturn.errors import ReadError, WriteError, one_line
+from fullturn.io.atomic import write_atomic
 from fullturn.training.validation import Score
 
 STEPS, SCORES = "log.csv", "validation.csv"

@@ -7,8 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from fullturn.errors import InputError, ReadError
-from fullturn.io.atomic import one_line
+from fullturn.errors import InputError, ReadError, one_line
 from fullturn.nn.config import PRESETS
 from fullturn.training.config import TrainConfig
 from fullturn.training.strict import from_table, to_table

@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import Any
 
-from fullturn.errors import DependencyError
+from fullturn.errors import DependencyError, one_line
 
 _INSTALL = 'pip install "fullturn[baselines]"'
 
@@ -33,7 +33,7 @@ def _imported(name: str, advice: str) -> Any:
         return import_module(name)
     # A missing library of the system is an OSError; each is a baseline that can't run here.
     except (ImportError, OSError) as error:
-        told = " ".join(str(error).split())[:200]
+        told = one_line(error)[:200]
         raise DependencyError(
             f"expected the package {name}, importing it gives: {told}; install it with {_INSTALL}; "
             f"{advice}"

@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from safetensors import SafetensorError, safe_open
 
-from fullturn.errors import InputError, ReadError
+from fullturn.errors import InputError, ReadError, one_line
 from fullturn.methods.learned.gmcnet import GMCNet
 from fullturn.nn.config import GMCNetConfig
 
@@ -59,7 +59,7 @@ def load_gmcnet(path: Path) -> GMCNet:
             network = GMCNet(_config(table))
         network.load_state_dict(tensors, strict=True)
     except (OSError, SafetensorError, ValueError, KeyError, TypeError, RuntimeError) as error:
-        told = " ".join(str(error).split())[:300]
+        told = one_line(error)[:300]
         raise ReadError(
             f"expected weights of GMCNet in {path}, as `fullturn train` writes them; reading gives "
             f"{type(error).__name__}: {told}"
