@@ -54,14 +54,11 @@ class Viewer:
             width=config.resolution,
             height=config.resolution,
         )
-        order = self._rng.permutation(len(cameras))
-        first = None
-        for place, number in enumerate(order):
-            if first is None:
-                first, rest = self._look(cameras[number]), order[place + 1 :]
+        order = iter(self._rng.permutation(len(cameras)))
+        first = next(filter(None, (self._look(cameras[number]) for number in order)), None)
         if first is None:
             return None
-        for number in rest:
+        for number in order:
             if not _within_reach(first.camera, cameras[number]):
                 continue
             second = self._look(cameras[number])
