@@ -323,7 +323,8 @@ def _input_table(results: Results) -> Table:
         tuple(rows),
         (
             "The same budget. Without coordinates the network doesn't depend on the pose: one run, "
-            "at 180°, stands for both ranges.",
+            "at 180°, stands for both ranges, whose pairs also differ in overlap: 0.95 of the "
+            "points are shared at 45°, 0.83 at 180°.",
         ),
         rules=frozenset((2, 4)),
     )
