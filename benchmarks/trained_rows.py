@@ -398,6 +398,7 @@ def draw(out: Path) -> Figure:
         axes.set_title(f"{noise}, {angle}°", loc="left", color=INK, fontsize=10)
         axes.set_yscale("log")
         axes.yaxis.set_major_formatter("{x:g}")
+        axes.yaxis.set_minor_formatter("{x:g}")
         axes.set_xlabel("pairs seen", color=MUTED, fontsize=8)
         axes.set_ylabel("rotation error, °", color=MUTED, fontsize=8)
         axes.spines[["top", "right"]].set_visible(False)
