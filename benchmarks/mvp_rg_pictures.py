@@ -87,7 +87,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("docs/images"))
     told = parser.parse_args()
     pairs = MvpRgPairs(told.folder)
-    save_curves(told.out / "mvp_rg_pairs.png", draw_pairs(pairs))
+    save_curves(told.out / "mvp_rg_pairs.png", draw_pairs(pairs), dpi=75)
     save_curves(told.out / "mvp_rg_statistics.png", draw_statistics(pairs))
 
 
