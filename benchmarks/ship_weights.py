@@ -14,6 +14,7 @@ from pathlib import Path
 
 from fullturn.io.atomic import write_atomic
 from fullturn.methods.learned.weights import RUN_FILE
+from fullturn.training.run import CARD
 from trained_rows import long_run
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -59,7 +60,7 @@ def main() -> None:
     for name, run in SHIPPED.items():
         folder = told.runs / run.name
         write_atomic(WEIGHTS / f"gmcnet-{name}.safetensors", (folder / RUN_FILE).read_bytes())
-        card = (folder / "weights.md").read_text(encoding="utf-8")
+        card = (folder / CARD).read_text(encoding="utf-8")
         card = card.replace(f"`{RUN_FILE}`", f"`gmcnet-{name}.safetensors`")
         write_atomic(WEIGHTS / f"gmcnet-{name}.md", card)
     write_atomic(WEIGHTS / "CREDITS.md", credits(told.data / "meshes_open_credits.csv"))

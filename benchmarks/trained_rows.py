@@ -11,7 +11,6 @@ each set of pairs, logs, cards, README.md with the tables, and learning.png.
 from __future__ import annotations
 
 import argparse
-import csv
 import shutil
 import statistics
 import subprocess
@@ -33,6 +32,9 @@ from fullturn.io.atomic import make_folder, write_atomic
 from fullturn.methods.learned.weights import RUN_FILE
 from fullturn.training.log import SCORES, STEPS, read_log
 from fullturn.training.recipe import load_recipe
+from fullturn.training.run import CARD, RECIPE
+from fullturn.viz.curves import COLORS, save_curves
+from fullturn.viz.figures import INK, MUTED
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -173,7 +175,7 @@ def keep_logs(runs: Sequence[Run], folder: Path, out: Path) -> None:
     for run in runs:
         place = out / "runs" / run.name
         make_folder(place)
-        for name in ("recipe.toml", "weights.md", SCORES):
+        for name in (RECIPE, CARD, SCORES):
             shutil.copyfile(folder / run.name / name, place / name)
         rows = read_log(folder / run.name / STEPS)
         write_atomic(place / STEPS, "".join(_thinned(rows)))
@@ -249,9 +251,7 @@ def _published(table: str, label: str, protocol_name: str) -> str:
 def _results_table(results: Results) -> Table:
     rows = []
     for (noise, angle), features in product(SETTINGS, FEATURES):
-        run, name = result_run(noise, angle, features), protocol(noise, angle)
-        table = "clean-and-unseen" if noise == "clean" else "noisy-and-unseen"
-        rows.append(_compared(results, run, name, _published(table, features.upper(), name)))
+        rows.append(_compared(results, result_run(noise, angle, features)))
     return Table(
         "results",
         "Results by features, noise and range of angles",
@@ -274,11 +274,12 @@ _COMPARED = (
 )
 
 
-def _compared(results: Results, run: Run, name: str, published: str) -> tuple[str, ...]:
+def _compared(results: Results, run: Run) -> tuple[str, ...]:
+    (name,), noise, features = run.protocols, run.words[0], run.words[2].upper()
     return (
         name,
-        run.words[2].upper(),
-        published,
+        features,
+        _published(f"{noise}-and-unseen", features, name),
         *results.cells(run, slug(name), _SHORT),
         *results.cells(run, slug(name), _SHORT, consensus=True),
         *results.pairs_and_minutes(run),
@@ -286,20 +287,15 @@ def _compared(results: Results, run: Run, name: str, published: str) -> tuple[st
 
 
 def _long_table(results: Results) -> Table:
-    rows = []
-    for run in LONG:
-        noise, angle, features, _ = run.words
-        table = "clean-and-unseen" if noise == "clean" else "noisy-and-unseen"
-        name = protocol(noise, angle)
-        rows.append(_compared(results, run, name, _published(table, features.upper(), name)))
-    return Table("long", "Four times the pairs", _COMPARED, tuple(rows), text_columns=2)
+    rows = tuple(_compared(results, run) for run in LONG)
+    return Table("long", "Four times the pairs", _COMPARED, rows, text_columns=2)
 
 
 def _input_table(results: Results) -> Table:
     rows = []
     for features in FEATURES:
-        for label, spatial in ((f"{features.upper()} only", False), ("+ XYZ + ΔXYZ", True)):
-            row = [label if not spatial else f"{features.upper()} {label}"]
+        for label, spatial in (("only", False), ("+ XYZ + ΔXYZ", True)):
+            row = [f"{features.upper()} {label}"]
             for noise, angle in SETTINGS:
                 name = protocol(noise, angle)
                 if spatial:
@@ -374,9 +370,6 @@ def draw(out: Path) -> Figure:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    from fullturn.viz.curves import COLORS
-    from fullturn.viz.figures import INK, MUTED
-
     figure = Figure(figsize=(9.2, 5.6), facecolor="white", layout="constrained")
     FigureCanvasAgg(figure)
     panels = figure.subplots(2, 2).flat
@@ -389,7 +382,7 @@ def draw(out: Path) -> Figure:
             if not path.exists():
                 continue
             batch = load_recipe(run.spec).data.batch
-            scores = list(csv.DictReader(path.open()))
+            scores = read_log(path)
             seen = [int(row["step"]) * batch for row in scores]
             for key, dash in (("mean_deg", "-"), ("median_deg", ":")):
                 values = [float(row[key]) for row in scores]
@@ -439,7 +432,7 @@ def main() -> None:
     runs = [run for run in runs if (told.runs / run.name / RUN_FILE).exists()]
     keep_logs(runs, told.runs, told.out)
     measure(runs, told.runs, data=told.data, out=told.out, workers=told.workers)
-    draw(told.out).savefig(told.out / "learning.png", dpi=110)
+    save_curves(told.out / "learning.png", draw(told.out), dpi=110)
     write_atomic(told.out / "README.md", page(told.out))
 
 

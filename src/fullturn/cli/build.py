@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -114,8 +115,5 @@ def _meshes(spec: str) -> MeshSource:
 
 def _left_out(splits: dict[str, dict[str, dict[str, int]]]) -> str:
     """How often each reason to leave something out came up."""
-    total: dict[str, int] = {}
-    for part in splits.values():
-        for reason, count in part["skips"].items():
-            total[reason] = total.get(reason, 0) + count
+    total = sum((Counter(part["skips"]) for part in splits.values()), Counter[str]())
     return ", ".join(f"{count} × {reason}" for reason, count in sorted(total.items())) or "nothing"

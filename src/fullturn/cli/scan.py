@@ -155,8 +155,7 @@ def _json(about: dict[str, Any], entries: list[dict[str, Any]]) -> str:
 def _read_mesh(path: Path) -> trimesh.Trimesh:
     import trimesh
 
-    from fullturn.errors import InputError, ReadError
-    from fullturn.io.atomic import one_line
+    from fullturn.errors import InputError, ReadError, one_line
     from fullturn.io.mesh import read_mesh
     from fullturn.io.ply import read_ply
 

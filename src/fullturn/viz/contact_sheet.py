@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -10,8 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fullturn.errors import DependencyError, InputError
-from fullturn.io.atomic import check_output, write_atomic
-from fullturn.viz.figures import METADATA, MUTED
+from fullturn.viz.figures import MUTED, write_figure
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -38,11 +36,7 @@ def save_contact_sheet(
         InputError: no images, or not one focal length and one label an image.
         WriteError: another suffix, or the place cannot be written; what was there before is kept.
     """
-    suffix = check_output(path, tuple(METADATA)).suffix.lower()
-    figure = draw_contact_sheet(depths, focals=focals, labels=labels)
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format=suffix[1:], dpi=_DPI, metadata=METADATA[suffix])
-    write_atomic(path, buffer.getvalue())
+    write_figure(path, lambda: draw_contact_sheet(depths, focals=focals, labels=labels), dpi=_DPI)
 
 
 def draw_contact_sheet(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
@@ -10,8 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fullturn.errors import DependencyError, InputError
-from fullturn.io.atomic import check_output, write_atomic
-from fullturn.viz.figures import INK, METADATA, MUTED
+from fullturn.viz.figures import INK, MUTED, write_figure
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -113,10 +111,7 @@ def save_curves(path: str | PathLike[str], figure: Figure, *, dpi: int = 130) ->
     Raises:
         WriteError: another suffix, or the place cannot be written.
     """
-    suffix = check_output(path, tuple(METADATA)).suffix.lower()
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format=suffix[1:], dpi=dpi, metadata=METADATA[suffix])
-    write_atomic(path, buffer.getvalue())
+    write_figure(path, lambda: figure, dpi=dpi)
 
 
 def _draw_reliability(

@@ -13,6 +13,7 @@ from fullturn.viz.scene import angle_axis, apply, make_scene, viewing_axes
 from fullturn.viz.tables import probability
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from os import PathLike
 
     from matplotlib.axes import Axes
@@ -50,8 +51,20 @@ def save_figure(
         InputError: the points have another shape or are not finite.
         WriteError: another suffix, or the place cannot be written; what was there before is kept.
     """
+    write_figure(path, lambda: draw_figure(source_points, target_points, registration), dpi=dpi)
+
+
+def write_figure(path: str | PathLike[str], draw: Callable[[], Figure], *, dpi: int) -> None:
+    """Write what `draw` returns; equal figures give equal bytes.
+
+    The suffix chooses PNG, PDF or SVG, and is checked before anything is drawn; `dpi` is the
+    resolution of a PNG.
+
+    Raises:
+        WriteError: another suffix, or the place cannot be written; what was there before is kept.
+    """
     suffix = check_output(path, tuple(METADATA)).suffix.lower()
-    figure = draw_figure(source_points, target_points, registration)
+    figure = draw()
     buffer = io.BytesIO()
     figure.savefig(buffer, format=suffix[1:], dpi=dpi, metadata=METADATA[suffix])
     write_atomic(path, buffer.getvalue())

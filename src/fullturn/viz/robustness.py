@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping, Sequence
 from itertools import compress
 from typing import TYPE_CHECKING, NamedTuple
@@ -10,8 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from fullturn.errors import DependencyError, InputError
-from fullturn.io.atomic import check_output, write_atomic
-from fullturn.viz.figures import INK, METADATA, MUTED
+from fullturn.viz.figures import INK, MUTED, write_figure
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -79,11 +77,7 @@ def save_robustness(path: str | PathLike[str], panels: Panels, *, dpi: int = 130
         InputError: a curve that is drawn is missing.
         WriteError: another suffix, or the place cannot be written; what was there before is kept.
     """
-    suffix = check_output(path, tuple(METADATA)).suffix.lower()
-    figure = draw_robustness(panels)
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format=suffix[1:], dpi=dpi, metadata=METADATA[suffix])
-    write_atomic(path, buffer.getvalue())
+    write_figure(path, lambda: draw_robustness(panels), dpi=dpi)
 
 
 def draw_robustness(panels: Panels) -> Figure:
