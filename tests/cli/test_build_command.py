@@ -52,6 +52,24 @@ def test_test_shapes_may_be_given(tmp_path: Path) -> None:
     assert open_pairs(tmp_path / "set").pair(0).name.startswith("procedural_9_")
 
 
+def test_the_sensor_is_a_rule_of_the_set(tmp_path: Path) -> None:
+    out = tmp_path / "set"
+    command = (
+        "mvp-rg", "--shapes", "procedural:2:1", "--out", str(out), "--train", "0", "--test", "1",
+        "--workers", "1", "--noise", "0.001", "--quantize", "0.0005", "--grazing", "10",
+        "--flying", "0.1", "--holes", "2",
+    )  # fmt: skip
+    assert run(*command).exit_code == 0
+    sensor = json.loads((out / "manifest.json").read_text())["plan"]["config"]["sensor"]
+    options = (sensor["noise"], sensor["quantize"], sensor["grazing_deg"], sensor["flying"])
+    assert options == (0.001, 0.0005, 10.0, 0.1)
+    assert sensor["holes"] == 2
+    plain = tmp_path / "plain"
+    assert run(*(str(plain) if part == str(out) else part for part in command[:-10])).exit_code == 0
+    sensed, exact = (open_pairs(folder).pair(0).source for folder in (out, plain))
+    assert not np.array_equal(sensed, exact)
+
+
 @pytest.mark.parametrize(
     ("arguments", "code", "told"),
     [

@@ -51,6 +51,32 @@ def test_frozen_pairs_are_a_set(tmp_path: Path) -> None:
     assert [part["count"] for part in summary["sets"].values()] == [2]
 
 
+def test_viewpoints_can_be_hidden(tmp_path: Path) -> None:
+    source = tmp_path / "needs_eyes.py"
+    source.write_text(
+        "import torch\n"
+        "from fullturn.methods.base import Estimate, Method\n"
+        "class NeedsEyes(Method):\n"
+        "    name, summary, reference = 'needs-eyes', 'fails where it is told where sensors "
+        "stood', 'a test'\n"
+        "    def estimate(self, source, target, *, rng):\n"
+        "        if source.viewpoint is not None or target.viewpoint is not None:\n"
+        "            raise ValueError('saw an eye')\n"
+        "        return Estimate(torch.eye(4, dtype=torch.float64)[None])\n"
+    )
+    for hidden, failures in (((), 1), (("--hide-viewpoints",), 0)):
+        done = run(
+            "--method", f"{source}:NeedsEyes", "--protocol", "mvp-rg", "--shapes", "procedural:1",
+            "--count", "1", "--workers", "1", "--cache", str(tmp_path / "cache"),
+            "--out", str(tmp_path / "run"), *hidden,
+        )  # fmt: skip
+        assert done.exit_code == 0, done.output
+        sets = json.loads((tmp_path / "run" / "summary.json").read_text())["sets"]
+        name = "mvp-rg/no viewpoints" if hidden else "mvp-rg"
+        assert sets[name]["methods"]["needs-eyes"]["errors"] == failures
+        assert sets[name]["description"].get("viewpoints") == ("hidden" if hidden else None)
+
+
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [

@@ -17,7 +17,7 @@ from run_folders import set_part, summary, write_run
 
 from fullturn.errors import FullturnError, InputError, ReadError
 from fullturn.evaluation import paper
-from fullturn.evaluation.folders import read_pairs, read_runs
+from fullturn.evaluation.folders import SetResult, read_pairs, read_runs
 from fullturn.evaluation.layout import Table, html_section, latex, latex_text, markdown
 from fullturn.evaluation.notes import made_from
 from fullturn.evaluation.paper_layout import paper_layout
@@ -107,6 +107,19 @@ def test_the_main_table_has_the_best_published_row(tmp_path: Path) -> None:
     ]
 
 
+def test_a_set_like_the_papers_has_its_rows_once_and_no_difference(tmp_path: Path) -> None:
+    sets = read_runs([run(tmp_path / "a", "mvp-rg/built", "mvp-rg/built/no viewpoints")])
+    (table,) = full_tables(sets)
+    assert table.header[-1] == ("CPU s",)
+    published = [row[1] for row in table.rows if row[1].startswith("paper: ")]
+    assert len(published) == len(paper.published_rows("mvp-rg")) > 3
+    assert [row[1] for row in table.rows[:2]] == ["ours", "ours"]
+    assert not any("base of Δ" in name for name in published)
+    assert any("pairs of the MVP-RG dataset" in note for note in table.notes)
+    main = main_table(sets)
+    assert [row[1] for row in main.rows] == ["ours", "ours", "GMCNet, as published"]
+
+
 def test_the_layout_of_the_paper(tmp_path: Path) -> None:
     sets = read_runs([run(tmp_path / "a", NOISY, RESAMPLED, "mvp-rg")])
     noisy, views = paper_layout(sets)
@@ -121,6 +134,12 @@ def test_the_layout_of_the_paper(tmp_path: Path) -> None:
     assert noisy.rules == {12}
     assert "NC" in noisy.rows[0]
     assert any("MVP-RG dataset" in note for note in views.notes)
+
+
+def test_shapes_of_several_places() -> None:
+    packs = [{"kind": "mesh pack", "file": f"{name}.npz"} for name in "ab"]
+    sets = SetResult("x", {"shapes": packs}, 1)
+    assert made_from(sets) == "mesh pack, a.npz and mesh pack, b.npz"
 
 
 def test_shapes_without_a_description() -> None:

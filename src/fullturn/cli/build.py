@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from fullturn.cli.sensor import Flying, Grazing, Holes, Noise, Quantize
+
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
@@ -56,6 +58,11 @@ def build(
     min_overlap: Annotated[
         float, typer.Option(min=0.0, max=1.0, help="Least overlap of the two views.")
     ] = 0.3,
+    noise: Noise = 0.0,
+    quantize: Quantize = 0.0,
+    grazing: Grazing = 0.0,
+    flying: Flying = 0.0,
+    holes: Holes = 0,
     seed: Annotated[int, typer.Option(min=0, help="The same seed gives the same bytes.")] = 0,
     workers: Annotated[
         int | None, typer.Option(min=1, help="Processes of one thread each; default: all CPUs.")
@@ -69,6 +76,7 @@ def build(
     """
     from fullturn.data.mvp_build import build_mvp_rg
     from fullturn.data.mvp_rg import MvpRgConfig
+    from fullturn.data.sensor import Sensor
     from fullturn.progress import progress_bar
     from fullturn.workers import Crew, check_workers, one_thread_each
 
@@ -84,6 +92,9 @@ def build(
         rotation=rotation.value,
         min_overlap=min_overlap,
         seed=seed,
+        sensor=Sensor(
+            noise=noise, quantize=quantize, grazing_deg=grazing, flying=flying, holes=holes
+        ),
     )
     sources = [_meshes(spec) for spec in shapes]
     test_sources = [_meshes(spec) for spec in test_shapes or ()]

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from fullturn.cli.errors import tell
+from fullturn.cli.sensor import Flying, Grazing, Holes, Noise, Quantize
 
 if TYPE_CHECKING:
     import trimesh
@@ -29,27 +30,11 @@ def scan(
     distance: Annotated[
         float, typer.Option(help="From the middle of the object to the eye, in radii; above 1.")
     ] = 3.0,
-    noise: Annotated[
-        float,
-        typer.Option(
-            min=0.0, help="Of the depth at a distance of one radius, in radii; grows with depth²."
-        ),
-    ] = 0.0,
-    quantize: Annotated[
-        float,
-        typer.Option(min=0.0, help="Step of the depth at one radius; grows with depth², too."),
-    ] = 0.0,
-    grazing: Annotated[
-        float,
-        typer.Option(
-            min=0.0, max=90.0, metavar="DEG", help="Returns at flatter angles may get lost."
-        ),
-    ] = 0.0,
-    flying: Annotated[
-        float,
-        typer.Option(min=0.0, max=1.0, help="Share of edge pixels that land between two surfaces."),
-    ] = 0.0,
-    holes: Annotated[int, typer.Option(min=0, help="Random patches without a return.")] = 0,
+    noise: Noise = 0.0,
+    quantize: Quantize = 0.0,
+    grazing: Grazing = 0.0,
+    flying: Flying = 0.0,
+    holes: Holes = 0,
     plane: Annotated[
         bool, typer.Option("--plane", help="Stand the object on a plane; all eyes are above it.")
     ] = False,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 from fullturn.evaluation import paper
 from fullturn.evaluation.folders import SetResult
@@ -51,7 +52,7 @@ def metrics_note() -> str:
 
 def shapes_note(sets: Sequence[SetResult]) -> str:
     """What the published numbers were measured on, and what ours were."""
-    compared = [result for result in sets if paper.best_row(result.name) is not None]
+    compared = [r for r in sets if paper.best_row(paper.protocol_of(r.name)) is not None]
     if not compared:
         return ""
     data = dict.fromkeys(result.name.partition("/")[0] for result in compared)
@@ -69,9 +70,13 @@ def made_from(result: SetResult) -> str:
     >>> made_from(SetResult("a", {"shapes": {"kind": "mesh pack", "file": "m.npz"}}, 1))
     'mesh pack, m.npz'
     """
-    source = result.description.get("shapes")
-    if not isinstance(source, Mapping):
-        return ""
+    sources = result.description.get("shapes")
+    if isinstance(sources, Mapping):
+        sources = [sources]
+    return " and ".join(_words(one) for one in sources or () if isinstance(one, Mapping))
+
+
+def _words(source: Mapping[str, Any]) -> str:
     parts = [str(source[key]) for key in ("kind", "file", "part") if source.get(key)]
     count = source.get("count")
     return ", ".join(parts + ([f"{count:,} shapes"] if isinstance(count, int) else []))

@@ -118,6 +118,15 @@ def paper() -> Paper:
     return Paper(citation, content["marks"], tables)
 
 
+def protocol_of(name: str) -> str:
+    """The paper's setting that a set of pairs is like.
+
+    >>> protocol_of("mvp-rg/built"), protocol_of("modelnet40/clean/45")
+    ('mvp-rg', 'modelnet40/clean/45')
+    """
+    return "mvp-rg" if name.startswith("mvp-rg/") else name
+
+
 def published_rows(protocol: str) -> list[Row]:
     """Every row that the paper has for a protocol, each set of figures once.
 

@@ -55,7 +55,9 @@ def predict(method: Any, pair: Pair, *, seed: int) -> Prediction:
 
     Whatever the method raises is a failure of this pair, as is an answer that is none.
     """
-    source, target, frame = normalized_clouds(pair.source, pair.target)
+    source, target, frame = normalized_clouds(
+        pair.source, pair.target, pair.source_viewpoint, pair.target_viewpoint
+    )
     cpu, wall = time.process_time(), time.perf_counter()
     try:
         estimate = checked_estimate(
@@ -75,9 +77,18 @@ def predict(method: Any, pair: Pair, *, seed: int) -> Prediction:
 
 
 def pair_hash(pair: Pair) -> str:
-    """A hash of all that a method sees of a pair: shapes and bytes of its clouds."""
+    """A hash of all that a method sees of a pair: its clouds, and where their sensors stood."""
     digest = hashlib.sha256()
-    for points in (pair.source, pair.target):
+    seen = {
+        "source": pair.source,
+        "target": pair.target,
+        "source viewpoint": pair.source_viewpoint,
+        "target viewpoint": pair.target_viewpoint,
+    }
+    for name, points in seen.items():
+        if points is None:
+            continue
+        digest.update(name.encode())
         digest.update(str(points.shape).encode())
         digest.update(points.astype("<f8").tobytes())
     return digest.hexdigest()

@@ -80,6 +80,7 @@ def main_table(
     """
     rows: list[tuple[str, ...]] = []
     rules = set()
+    last = {paper.protocol_of(result.name): result for result in sets}
     for result in sets:
         for block, found in _blocks(result, titles or {}):
             rules.add(len(rows))
@@ -88,9 +89,10 @@ def main_table(
                 cells = [_cell(one, column, interval=False) for column in _MAIN_COLUMNS]
                 rows.append((block, name, str(one.summary["n"]), *cells, _seconds(one)))
                 block = ""
-        best = paper.best_row(result.name)
-        if best is not None:
-            figures = best.figures[result.name]
+        protocol = paper.protocol_of(result.name)
+        best = paper.best_row(protocol)
+        if best is not None and result is last[protocol]:
+            figures = best.figures[protocol]
             cells = [_published(figures, column) for column in _MAIN_COLUMNS]
             rows.append(("", paper.LABEL, NONE, *cells, NONE))
     header = ("pairs", "method", "n", *_MAIN_COLUMNS, "CPU s")
@@ -113,34 +115,39 @@ def family(name: str) -> str:
 
 
 def _family_table(name: str, sets: Sequence[SetResult]) -> Table:
+    published = any(paper.published_rows(paper.protocol_of(result.name)) for result in sets)
+    # Where the shapes are others, the published rows stand beside ours, and nothing is subtracted.
     compared = any(paper.published_rows(result.name) for result in sets)
     differences = tuple(_DIFFERENCES) if compared else ()
     header = ("pairs", "method", "n", *_COLUMNS, "failures", "CPU s", *differences)
     rows: list[tuple[str, ...]] = []
     rules = set()
+    last = {paper.protocol_of(result.name): result for result in sets}
     for result in sets:
         best = paper.best_row(result.name)
         for block, found in _blocks(result, {}):
             rules.add(len(rows))
             for method, one in found.items():
                 cells = [_cell(one, column, interval=True) for column in _COLUMNS]
-                last = [str(one.summary.get("errors", NONE)), _seconds(one)]
-                last += [_difference(one, best, result.name, key) for key in differences]
-                rows.append((block, method, str(one.summary["n"]), *cells, *last))
+                rest = [str(one.summary.get("errors", NONE)), _seconds(one)]
+                rest += [_difference(one, best, result.name, key) for key in differences]
+                rows.append((block, method, str(one.summary["n"]), *cells, *rest))
                 block = ""
-        for row in paper.published_rows(result.name):
-            figures = row.figures[result.name]
+        protocol = paper.protocol_of(result.name)
+        for row in paper.published_rows(protocol) if result is last[protocol] else ():
+            figures = row.figures[protocol]
             cells = [_published(figures, column) for column in _COLUMNS]
-            mark = ", base of Δ" if row is best else ""
+            mark = ", base of Δ" if row is best and compared else ""
             rest = [NONE] * (2 + len(differences))
             rows.append(("", f"paper: {row.label}{mark}", NONE, *cells, *rest))
     head = name.removesuffix("-resampled")
     title, about = _FAMILIES.get(name, (name if head == name else f"{head}, resampled", ""))
     remarks = [about, notes.seeds(sets), notes.shapes(sets), EXPLANATION, notes.unrelated(sets)]
-    if compared:
+    if published:
+        delta = " Δ: ours − GMCNet's best row in the paper's comparison of methods."
         remarks += [
-            f"Rows “paper”: {paper.paper().citation}. Δ: ours − GMCNet's best row in the paper's "
-            "comparison of methods. The paper's analyses of its own method follow below that.",
+            f"Rows “paper”: {paper.paper().citation}.{delta if compared else ''} The paper's "
+            "analyses of its own method follow below its comparison of methods.",
             notes.marks(),
             notes.metrics_note(),
             notes.shapes_note(sets),
