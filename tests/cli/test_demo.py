@@ -44,14 +44,16 @@ def test_it_writes_what_it_says(run, tmp_path):
 
 
 def test_the_error_is_measured_against_the_truth(run, tmp_path):
-    from fullturn.cli.demo import LEAST_OVERLAP, NOISE
+    from fullturn.cli.demo import DISTANCE, LEAST_OVERLAP, NOISE
     from fullturn.data.procedural import dog
     from fullturn.data.scan import scan_pair
+    from fullturn.data.sensor import Sensor
 
     done = run("--out", str(tmp_path), "--seed", "3", *QUICK)
     told_deg = float(re.search(r"([\d.]+)° in rotation", done.output).group(1))
     rng = np.random.default_rng(3)
-    pair = scan_pair(dog(), rng, points=400, min_overlap=LEAST_OVERLAP, noise_sigma=NOISE)
+    sensor = Sensor(noise=NOISE / DISTANCE**2)
+    pair = scan_pair(dog(), rng, points=400, min_overlap=LEAST_OVERLAP, sensor=sensor)
     found = read_transform(tmp_path / "pose.txt")
     assert told_deg == pytest.approx(rotation_error_deg(found, pair.T_target_source), abs=1e-3)
 

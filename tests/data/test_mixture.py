@@ -2,8 +2,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from fullturn.data.mixture import KINDS, MixedPairs, mixed_pair
+from fullturn.data.motion import move
+from fullturn.data.overlap import scan_overlap
+from fullturn.data.random_sensor import random_sensor
+from fullturn.data.sensor import Sensor
 from fullturn.data.shapes import ProceduralShapes
 from fullturn.errors import InputError
 
@@ -35,6 +40,41 @@ def test_pairs_depend_on_seed_and_number_alone() -> None:
     assert few.pair(2).source.tobytes() == many.pair(2).source.tobytes()
     assert few.pair(2).source.tobytes() == direct.pair.source.tobytes()
     assert direct.shape in few.pair(2).name
+
+
+def test_scans_are_various() -> None:
+    pairs = MixedPairs(SHAPES, count=150, seed=6)
+    scans = [pairs.pair(i) for i in range(150) if pairs.group(i) == "scan"]
+    overlaps, distances, evenness = [], [], []
+    for pair in scans:
+        assert pair.source_viewpoint is not None
+        moved = move(pair.T_target_source, pair.source)
+        overlaps.append(scan_overlap(moved, pair.target))
+        center = (pair.source.min(axis=0) + pair.source.max(axis=0)) / 2
+        distances.append(np.linalg.norm(pair.source_viewpoint - center))
+        gaps = cKDTree(pair.source).query(pair.source, k=2)[0][:, 1]
+        evenness.append(np.quantile(gaps, 0.05) / np.median(gaps))
+    # Thinning that comes on top moves the measure.
+    assert 0.05 < min(overlaps) < 0.5 < 0.8 < max(overlaps)
+    # Up to a radius from the object's middle to the middle of what is seen of it.
+    assert 0.7 < min(distances) < 2.0 < 3.5 < max(distances) < 6.0
+    assert min(evenness) < 0.65 < 0.75 < max(evenness)
+
+
+def test_random_sensors_keep_to_their_ranges() -> None:
+    sensors = [random_sensor(np.random.default_rng(i), distance=2.0) for i in range(600)]
+    ideal = [s for s in sensors if s == Sensor()]
+    noisy = [s for s in sensors if s.noise > 0.0 and s.grazing_deg == 0.0]
+    real = [s for s in sensors if s.grazing_deg > 0.0]
+    for part in (ideal, noisy, real):
+        assert len(part) == pytest.approx(200, abs=50)
+    for sensor in noisy + real:
+        assert 0.002 <= 4.0 * sensor.noise <= 0.01
+    for sensor in real:
+        assert 0.001 <= 4.0 * sensor.quantize <= 0.008
+        assert 10.0 <= sensor.grazing_deg <= 30.0
+        assert 0.0 <= sensor.flying <= 0.3
+    assert {sensor.holes for sensor in real} == {0, 1, 2, 3}
 
 
 def test_two_shapes_are_needed() -> None:

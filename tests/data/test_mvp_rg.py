@@ -23,7 +23,7 @@ from fullturn.data.mvp_pair import PairMaker, Task
 from fullturn.data.mvp_rg import MvpRgConfig, MvpRgPairs
 from fullturn.data.mvp_shapes import Shape, schedule, split_shapes
 from fullturn.data.open import open_pairs
-from fullturn.data.scan import scan_overlap
+from fullturn.data.overlap import scan_overlap
 from fullturn.data.sensor import Sensor
 from fullturn.data.shapes import MeshSource, ProceduralShapes
 from fullturn.errors import FullturnError, InputError, ReadError, WriteError

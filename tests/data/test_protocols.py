@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,9 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from fullturn.data.categories import AXISYMMETRIC_CLASSES, MODELNET40_CLASSES
 from fullturn.data.motion import move
+from fullturn.data.overlap import scan_overlap
 from fullturn.data.pair import Pair
 from fullturn.data.protocols import PROTOCOLS, ProtocolPairs
-from fullturn.data.scan import scan_overlap
 from fullturn.data.shapes import ProceduralShapes, ShapeSource
 from fullturn.data.stored import StoredPoints
 from fullturn.errors import InputError
@@ -52,7 +53,7 @@ def draw(name: str, count: int, seed: int = 0) -> list[Pair]:
 
 def shapes_for(name: str) -> ShapeSource:
     # A virtual camera needs meshes.
-    return ProceduralShapes(3) if name == "mvp-rg" else OneShapePerClass()
+    return ProceduralShapes(3) if name.startswith("mvp-rg") else OneShapePerClass()
 
 
 def angle_deg(pair: Pair) -> float:
@@ -66,7 +67,7 @@ def test_all_rows_are_there() -> None:
         "modelnet40/noisy-resampled/180",
     }
     expected |= {f"{name}/unseen" for name in expected}
-    expected |= {"geotransformer/180", "rpmnet/45", "predator/45", "mvp-rg"}
+    expected |= {"geotransformer/180", "rpmnet/45", "predator/45", "mvp-rg", "mvp-rg-sensor"}
     assert set(PROTOCOLS) == expected
 
 
@@ -85,7 +86,7 @@ def test_pairs_depend_on_seed_and_number_alone(name: str) -> None:
 @pytest.mark.parametrize("name", PROTOCOLS)
 def test_clouds_have_the_stated_size_and_a_rigid_truth(name: str) -> None:
     pair = draw(name, 1)[0]
-    size = {"modelnet40": 768, "mvp-rg": 2048}.get(name.split("/")[0], 717)
+    size = {"modelnet40": 768, "mvp-rg": 2048, "mvp-rg-sensor": 2048}.get(name.split("/")[0], 717)
     assert pair.source.shape == pair.target.shape == (size, 3)
     assert pair.source.dtype == pair.target.dtype == np.float64
     R = pair.T_target_source[:3, :3]
@@ -236,16 +237,43 @@ def test_stored_points_serve_as_far_as_they_reach() -> None:
 def test_virtual_scans_overlap_are_even_and_know_their_cameras() -> None:
     for pair in draw("mvp-rg", 3):
         moved = move(pair.T_target_source, pair.source)
-        # Asked of the dense views; thinning moves the measure a little.
-        assert scan_overlap(moved, pair.target) > 0.2
+        assert scan_overlap(moved, pair.target) >= 0.3 - 1e-3
         nearest = cKDTree(pair.target).query(pair.target, k=2)[0][:, 1]
         assert np.quantile(nearest, 0.02) > 0.4 * np.median(nearest)
         assert pair.source_viewpoint is not None
         assert pair.target_viewpoint is not None
-        # From 2 to 4 radii around the box's center, which a unit ball's shape is near.
-        to_object = pair.target_viewpoint - pair.target.mean(axis=0)
-        assert 0.8 < np.linalg.norm(to_object) < 5.0
+        # 3 radii from the middle of a ball around the object.
+        eye = move(pair.T_target_source, pair.source_viewpoint[None])[0]
+        for viewpoint in (eye, pair.target_viewpoint):
+            distance = np.linalg.norm(pair.target - viewpoint, axis=1)
+            assert 2.0 - 1e-9 < distance.min() < distance.max() < 4.0
         assert np.linalg.norm(pair.T_target_source[:3, 3]) <= 0.25
+
+
+def test_sensors_make_virtual_scans_rough() -> None:
+    ideal, sensed = (
+        [
+            roughness(pair.target)
+            for pair in ProtocolPairs(PROTOCOLS[name], ProceduralShapes(1), count=8)
+        ]
+        for name in ("mvp-rg", "mvp-rg-sensor")
+    )
+    assert np.mean(sensed) > 2 * np.mean(ideal)
+
+
+def roughness(points: np.ndarray) -> float:
+    """Median thickness of the neighborhoods of eight points, by their width."""
+    near = points[cKDTree(points).query(points, k=8)[1]]
+    widths = np.linalg.svd(near - near.mean(axis=1, keepdims=True), compute_uv=False)
+    return float(np.median(widths[:, 2] / widths[:, 0]))
+
+
+def test_a_shape_without_two_views_that_overlap_is_named() -> None:
+    wanted = replace(PROTOCOLS["mvp-rg"], cloud_points=500, least_overlap=1.0)
+    with pytest.raises(
+        InputError, match=r"procedural_0_00000 with 500 points that overlap by 1\.0"
+    ):
+        ProtocolPairs(wanted, ProceduralShapes(1), count=1).pair(0)
 
 
 @pytest.mark.parametrize("name", FIRST_POINTS)

@@ -12,8 +12,10 @@ import torch
 from scipy.spatial import cKDTree
 
 from fullturn.data.motion import move
+from fullturn.data.pair import Pair
 from fullturn.data.procedural import procedural_mesh
 from fullturn.data.shapes import PACK_KEYS
+from fullturn.data.view_pool import ViewPool
 from fullturn.errors import InputError, ReadError
 from fullturn.normalize import normalized_clouds
 from fullturn.training.batches import Steps, stream
@@ -59,6 +61,53 @@ def test_a_pair_depends_on_its_number_alone() -> None:
         assert np.array_equal(a.source, b.source)
         assert np.array_equal(a.T_target_source, b.T_target_source)
     assert not np.array_equal(first.pair(0).source, first.pair(1).source)
+
+
+VIEWS = DataConfig(
+    protocols=("mvp-rg", "mvp-rg-sensor"),
+    shapes=(ShapesConfig("procedural:5:1"), ShapesConfig("procedural:4:2")),
+    cloud_points=60,
+)
+
+
+def test_views_on_the_fly_depend_on_the_number_alone() -> None:
+    def content(pair: Pair) -> bytes:
+        return pair.source.tobytes() + pair.target.tobytes() + pair.T_target_source.tobytes()
+
+    numbers = range(24)
+    forth, back = run_pairs(VIEWS), run_pairs(VIEWS)
+    first = {number: content(forth.pair(number)) for number in numbers}
+    assert first == {number: content(back.pair(number)) for number in reversed(numbers)}
+    assert first[11] == content(run_pairs(VIEWS).pair(11))
+    assert len(set(first.values())) == len(numbers)
+    assert content(run_pairs(replace(VIEWS, seed=1)).pair(11)) != first[11]
+    # What workers are sent has no views in it.
+    assert len(pickle.dumps(forth)) == len(pickle.dumps(run_pairs(VIEWS)))
+    held_out = run_pairs(VIEWS, "validation")
+    assert held_out.pair(2).source.shape == (60, 3)
+
+
+def test_a_shape_without_two_views_makes_room_for_the_next(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    two_views, unfit = ViewPool.two_views, "procedural_1_00003"
+
+    def sometimes(self: ViewPool, index: int, rng: np.random.Generator) -> object:
+        if index == 3:
+            raise InputError("no two views")
+        return two_views(self, index, rng)
+
+    one = replace(VIEWS, shapes=VIEWS.shapes[:1])
+    everything = ValidationConfig(shapes=VIEWS.shapes[1:])
+    before = [RunPairs(one, everything, part="training").name(number) for number in range(5)]
+    monkeypatch.setattr(ViewPool, "two_views", sometimes)
+    after = [RunPairs(one, everything, part="training").name(number) for number in range(5)]
+    assert unfit in before
+    assert unfit not in after
+    assert sum(a != b for a, b in zip(before, after, strict=True)) == 1
+    monkeypatch.setattr(ViewPool, "two_views", lambda self, index, rng: sometimes(self, 3, rng))
+    with pytest.raises(InputError, match="no two views"):
+        run_pairs(one).pair(0)
 
 
 def test_clouds_come_as_a_method_sees_them() -> None:

@@ -8,7 +8,8 @@ from typing import Annotated
 import typer
 
 OBJECT_NAME = "dog"
-NOISE = 0.002  # standard deviation along the line of sight, in radii of the object
+NOISE = 0.002  # standard deviation of the depth, in radii of the object
+DISTANCE = 3.0  # of the eyes from the object, on average, in radii
 LEAST_OVERLAP = 0.6  # share of each scan that the other one sees, too
 
 
@@ -30,6 +31,7 @@ def demo(
     from fullturn.cli.render import print_table
     from fullturn.data.procedural import dog
     from fullturn.data.scan import scan_pair
+    from fullturn.data.sensor import Sensor
     from fullturn.errors import DependencyError
     from fullturn.evaluation.metrics import mean_point_distance, rotation_error_deg
     from fullturn.io import save_cloud, write_transform
@@ -45,7 +47,7 @@ def demo(
         np.random.default_rng(seed),
         points=points,
         min_overlap=LEAST_OVERLAP,
-        noise_sigma=NOISE,
+        sensor=Sensor(noise=NOISE / DISTANCE**2),
         name=OBJECT_NAME,
     )
     result = register(pair.source, pair.target, method=method, seed=seed)

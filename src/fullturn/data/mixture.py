@@ -14,6 +14,7 @@ from fullturn.data.motion import uniform_direction
 from fullturn.data.pair import Pair
 from fullturn.data.pair_set import PairSet, check_count
 from fullturn.data.protocols import PROTOCOLS, make_pair
+from fullturn.data.random_sensor import random_sensor
 from fullturn.data.scan import scan_pair
 from fullturn.data.shapes import MeshSource
 from fullturn.data.solids import to_unit_ball
@@ -22,15 +23,17 @@ from fullturn.errors import InputError
 KINDS = {  # name: share of the pairs
     "noisy": 0.15,
     "clean": 0.05,
-    "noisy-resampled": 0.18,
+    "noisy-resampled": 0.16,
     "clean-resampled": 0.08,
-    "plane": 0.20,
-    "scan": 0.22,
+    "plane": 0.18,
+    "scan": 0.26,
     "unrelated": 0.12,
 }
 
 _UNEVEN = 0.3  # share of the pairs whose clouds are thinned unevenly
 _LEAST_POINTS = 12
+_DISTANCES = (1.5, 5.0)  # of the eyes of scans, in radii
+_NEARER = 1.25  # by so much, at most, is one of two eyes nearer or farther than their mean
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -143,15 +146,8 @@ def _draw_even(
 ) -> Pair:
     many = int(np.exp(rng.uniform(np.log(5_000), np.log(40_000)))) if dense else 0
     if kind == "scan":
-        mesh = to_unit_ball(source.raw_mesh(index))
-        return scan_pair(
-            mesh,
-            rng,
-            points=min(many, 8_000) or _scan_points(rng),
-            min_overlap=float(rng.uniform(0.2, 0.7)),
-            noise_sigma=float(rng.choice([0.0, 0.002, 0.005, 0.01])),
-            name=source.name(index),
-        )
+        points = min(many, 8_000) or _scan_points(rng)
+        return _scans(source, index, rng, points)
     sigma = float(rng.choice([0.005, 0.01, 0.01, 0.015]))
     few = int(np.exp(rng.uniform(np.log(12), np.log(400))))
     if kind == "plane":
@@ -174,6 +170,22 @@ def _draw_even(
             noise_sigma=sigma if kind.startswith("noisy") else 0.0,
         )
     return make_pair(protocol, source, index, rng=rng)
+
+
+def _scans(source: MeshSource, index: int, rng: np.random.Generator, points: int) -> Pair:
+    """Two views by one sensor, from about one distance."""
+    nearest, farthest = _DISTANCES
+    distance = rng.uniform(nearest, farthest)
+    return scan_pair(
+        to_unit_ball(source.raw_mesh(index)),
+        rng,
+        points=points,
+        min_overlap=rng.uniform(0.1, 0.7),
+        distance=(max(distance / _NEARER, nearest), min(distance * _NEARER, farthest)),
+        sensor=random_sensor(rng, distance=distance),
+        thinning="farthest" if rng.random() < 0.5 else "random",
+        name=source.name(index),
+    )
 
 
 def _scan_points(rng: np.random.Generator) -> int:

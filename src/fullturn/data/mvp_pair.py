@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-import trimesh
 from jaxtyping import Float
 
 from fullturn.data.motion import (
@@ -20,8 +19,8 @@ from fullturn.data.motion import (
 )
 from fullturn.data.mvp_rg import SPLITS, MvpRgConfig
 from fullturn.data.mvp_shapes import Shape, schedule, split_shapes
-from fullturn.data.mvp_views import Seen, Viewer
-from fullturn.data.raycast import mesh_ball
+from fullturn.data.mvp_views import Viewer, in_unit_ball
+from fullturn.data.scanner import Seen
 from fullturn.data.shapes import MeshSource
 from fullturn.errors import FullturnError, InputError
 
@@ -114,7 +113,7 @@ class PairMaker:
         except Exception:
             return None, [NOT_READ]
         try:
-            viewer = Viewer(_in_unit_ball(mesh), self._config, rng)
+            viewer = Viewer(in_unit_ball(mesh), self._config, rng)
         except InputError:
             return None, [NO_SURFACE]
         views = viewer.two_views()
@@ -151,16 +150,3 @@ class PairMaker:
             int(overlap >= config.high_overlap),
             rotation_level,
         )
-
-
-def _in_unit_ball(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """The mesh in the ball of radius 1 around the middle of its bounding box.
-
-    Raises:
-        InputError: it has no usable surface.
-    """
-    with np.errstate(over="ignore", invalid="ignore"):
-        center, radius = mesh_ball(mesh)
-        if not 0.0 < radius < np.inf:
-            raise InputError(f"expected a mesh of finite size, got the radius {radius}; scale it")
-        return trimesh.Trimesh((mesh.vertices - center) / radius, mesh.faces, process=False)

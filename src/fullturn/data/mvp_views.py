@@ -2,41 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-
 import numpy as np
-import torch
 import trimesh
-from jaxtyping import Float
 
 from fullturn.data.camera import Camera, cameras_around
 from fullturn.data.mvp_rg import MvpRgConfig
-from fullturn.data.raycast import Raycaster, back_project, to_object
-from fullturn.data.scan import scan_overlap
-from fullturn.data.sensor import sense
-from fullturn.geometry.sampling import farthest_point_sample
+from fullturn.data.overlap import scan_overlap
+from fullturn.data.raycast import mesh_ball
+from fullturn.data.scanner import Scanner, Seen, spread
+from fullturn.errors import InputError
 
-# Farthest points spread well when they are chosen among at least twice as many; more than four
-# times as many only cost time.
-_LEAST_CHOICE, _MOST_CHOICE = 2, 4
-_MOST_PIXELS = 640  # a side; a view that needs more shows next to nothing
+_LEAST_CHOICE = 2  # farthest points spread well when chosen among at least twice as many
 _REACH_DEG = 120.0  # views that lie farther apart share nothing, but for wires and rods
-
-
-@dataclass(frozen=True, eq=False)
-class Seen:
-    """What one camera sees of an object."""
-
-    points: Float[np.ndarray, "n 3"]  # in the object's frame
-    camera: Camera
 
 
 class Viewer:
     """Looks at one object, which lies in the unit ball, from cameras all around."""
 
     def __init__(self, mesh: trimesh.Trimesh, config: MvpRgConfig, rng: np.random.Generator):
-        self._mesh, self._config, self._rng = mesh, config, rng
-        self._caster = Raycaster(mesh)
+        self._config, self._rng = config, rng
+        self._scanner = Scanner(mesh, sensor=config.sensor, radius=1.0)
         self.empty = 0  # views that showed too little
 
     def two_views(self) -> tuple[Seen, Seen, float] | None:
@@ -59,7 +44,7 @@ class Viewer:
         if first is None:
             return None
         for number in order:
-            if not _within_reach(first.camera, cameras[number]):
+            if not within_reach(first.camera, cameras[number]):
                 continue
             second = self._look(cameras[number])
             if second is None:
@@ -70,39 +55,35 @@ class Viewer:
         return None
 
     def _look(self, camera: Camera) -> Seen | None:
-        """The farthest points of what a camera sees, None where it sees too little."""
-        count = self._config.points
-        depth = self._depth(camera)
-        hits = int(np.isfinite(depth).sum())
-        if hits < _LEAST_CHOICE * count:
-            # Pixels grow with the square of the side; a tenth more, since edges count by halves.
-            factor = 1.1 * float(np.sqrt(_LEAST_CHOICE * count / max(hits, 1)))
-            factor = min(factor, max(_MOST_PIXELS / camera.width, 1.0))
-            if hits * factor**2 < count:
-                self.empty += 1
-                return None
-            camera = _finer(camera, factor)
-            depth = self._depth(camera)
-        points = to_object(back_project(depth, camera), camera)
-        if len(points) < count:
-            self.empty += 1
-            return None
-        points = points[self._rng.permutation(len(points))[: _MOST_CHOICE * count]]
-        return Seen(points[farthest_point_sample(torch.from_numpy(points), count).numpy()], camera)
-
-    def _depth(self, camera: Camera) -> Float[np.ndarray, "h w"]:
-        image = self._caster.image(camera)
-        sensor = self._config.sensor
-        return sense(image, camera, self._mesh, sensor, rng=self._rng, radius=1.0).depth
+        seen = view_of(self._scanner, camera, self._config, self._rng)
+        self.empty += seen is None
+        return seen
 
 
-def _finer(camera: Camera, factor: float) -> Camera:
-    """The same image with more pixels."""
-    side = round(camera.width * factor)
-    return replace(camera, focal=camera.focal * side / camera.width, width=side, height=side)
+def view_of(
+    scanner: Scanner, camera: Camera, config: MvpRgConfig, rng: np.random.Generator
+) -> Seen | None:
+    """The farthest points of what a camera sees, None where it sees too little."""
+    count = config.points
+    seen = scanner.look(camera, wanted=_LEAST_CHOICE * count, enough=count, rng=rng)
+    return None if seen is None else Seen(spread(seen.points, count), seen.camera)
 
 
-def _within_reach(first: Camera, second: Camera) -> bool:
+def within_reach(first: Camera, second: Camera) -> bool:
+    """Whether views from both eyes may overlap."""
     a, b = first.center, second.center
     cosine = a @ b / (np.linalg.norm(a) * np.linalg.norm(b))
     return bool(cosine > np.cos(np.deg2rad(_REACH_DEG)))
+
+
+def in_unit_ball(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """The mesh in the ball of radius 1 around the middle of its bounding box.
+
+    Raises:
+        InputError: it has no usable surface.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        center, radius = mesh_ball(mesh)
+        if not 0.0 < radius < np.inf:
+            raise InputError(f"expected a mesh of finite size, got the radius {radius}; scale it")
+        return trimesh.Trimesh((mesh.vertices - center) / radius, mesh.faces, process=False)

@@ -8,7 +8,6 @@ from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
-import torch
 from jaxtyping import Float
 
 from fullturn.data.categories import AXISYMMETRIC_CLASSES, SEEN_CLASSES
@@ -20,13 +19,18 @@ from fullturn.data.motion import (
     move,
     rigid,
 )
+from fullturn.data.mvp_rg import MvpRgConfig
+from fullturn.data.mvp_views import Viewer, in_unit_ball
 from fullturn.data.pair import Pair
 from fullturn.data.pair_set import PairSet, check_count
 from fullturn.data.perturb import crop_nearest, crop_plane, far_viewpoint, jitter, resample
-from fullturn.data.scan import two_views
+from fullturn.data.random_sensor import random_sensor
+from fullturn.data.scanner import Seen
 from fullturn.data.shapes import MeshSource, ShapeSource
+from fullturn.data.view_pool import ViewPool
 from fullturn.errors import InputError
-from fullturn.geometry.sampling import farthest_point_sample
+
+_LATTICES = 4  # of cameras around a shape, each turned anew, before it counts as unfit
 
 
 @dataclass(frozen=True)
@@ -39,12 +43,14 @@ class Protocol:
     max_angle_deg: float  # of the relative rotation: about one axis, or of each Euler angle
     noise_sigma: float = 0.0  # of every coordinate, after the crop
     noise_clip: float = 0.05
-    sample_points: int = 1024  # of the whole object, before the crop; of a view, before thinning
+    sample_points: int = 1024  # of the whole object, before the crop; crop "views" takes none
     kept_share: float = 0.7  # of the points, on the kept side of a plane (crop "plane")
     cloud_points: int = 768  # of each cloud
     without_axisymmetric: bool = False  # leave the eight axisymmetric ModelNet40 classes out
     unseen: bool = False  # test on the last 20 ModelNet40 classes; the first 20 are for training
     least_overlap: float = 0.0  # share of each cloud that the other one sees, too (crop "views")
+    # What sees the object: an ideal camera, or `random_sensor`, one a pair (crop "views").
+    sensor: Literal["ideal", "random"] = "ideal"
 
     @property
     def stored_points(self) -> int:
@@ -124,11 +130,20 @@ class ProtocolPairs(PairSet):
 
 
 def make_pair(
-    protocol: Protocol, shapes: ShapeSource, index: int, *, rng: np.random.Generator
+    protocol: Protocol,
+    shapes: ShapeSource,
+    index: int,
+    *,
+    rng: np.random.Generator,
+    pool: ViewPool | None = None,
 ) -> Pair:
-    """One pair of the shape `index`: pose, crop, noise, each by the protocol's rule."""
+    """One pair of the shape `index`: pose, crop, noise, each by the protocol's rule.
+
+    With a pool of views, made of the same shapes by `view_rules`, two of these are taken; without,
+    new ones (crop "views").
+    """
     if protocol.crop == "views":
-        return _views_pair(protocol, _meshes(protocol, shapes), index, rng)
+        return _views_pair(protocol, _meshes(protocol, shapes), index, rng, pool)
     draw = _far_viewpoint_pair if protocol.crop == "far_viewpoint" else _plane_pair
     source, target, T_target_source = draw(protocol, shapes, index, rng)
     if protocol.noise_sigma > 0.0:
@@ -193,35 +208,52 @@ def _meshes(protocol: Protocol, shapes: ShapeSource) -> MeshSource:
     return shapes
 
 
+def view_rules(protocol: Protocol, rng: np.random.Generator) -> MvpRgConfig:
+    """How a protocol's views are made: as those of a built MVP-RG set, by its own sensor."""
+    config = MvpRgConfig(points=protocol.cloud_points, min_overlap=protocol.least_overlap)
+    if protocol.sensor == "ideal":
+        return config
+    return dataclasses.replace(config, sensor=random_sensor(rng, distance=config.distance))
+
+
 def _views_pair(
-    protocol: Protocol, shapes: MeshSource, index: int, rng: np.random.Generator
+    protocol: Protocol,
+    shapes: MeshSource,
+    index: int,
+    rng: np.random.Generator,
+    pool: ViewPool | None,
 ) -> Pair:
-    """Two virtual scans of a mesh, thinned to evenly spread points, then posed."""
-    first, second, _ = two_views(
-        shapes.mesh(index),
-        rng,
-        points=protocol.sample_points,
-        min_overlap=protocol.least_overlap,
-    )
+    """Two virtual scans of a mesh as those of a built MVP-RG set, then posed."""
+    if pool is None:
+        first, second = _new_views(protocol, shapes, index, rng)
+    else:
+        first, second = pool.two_views(index, rng)
     T_source_object, T_target_source = _common_and_relative(protocol, rng)
     T_target_object = T_target_source @ T_source_object
-    source, target = (
-        move(T, _spread(view.points, protocol.cloud_points))
-        for T, view in ((T_source_object, first), (T_target_object, second))
-    )
     return Pair(
-        source,
-        target,
+        move(T_source_object, first.points),
+        move(T_target_object, second.points),
         T_target_source,
         shapes.name(index),
-        source_viewpoint=move(T_source_object, first.camera[None])[0],
-        target_viewpoint=move(T_target_object, second.camera[None])[0],
+        source_viewpoint=move(T_source_object, first.camera.center[None])[0],
+        target_viewpoint=move(T_target_object, second.camera.center[None])[0],
     )
 
 
-def _spread(points: Float[np.ndarray, "n 3"], count: int) -> Float[np.ndarray, "count 3"]:
-    # The order of farthest points is left as it is: it tells nothing about the other cloud.
-    return points[farthest_point_sample(torch.from_numpy(points), count).numpy()]
+def _new_views(
+    protocol: Protocol, shapes: MeshSource, index: int, rng: np.random.Generator
+) -> tuple[Seen, Seen]:
+    config = view_rules(protocol, rng)
+    viewer = Viewer(in_unit_ball(shapes.raw_mesh(index)), config, rng)
+    for _ in range(_LATTICES):
+        found = viewer.two_views()
+        if found is not None:
+            return found[0], found[1]
+    raise InputError(
+        f"expected two views of {shapes.name(index)} with {protocol.cloud_points} points that "
+        f"overlap by {protocol.least_overlap}, found none from {_LATTICES} times {config.views} "
+        "sides; leave the shape out, or lower least_overlap or cloud_points"
+    )
 
 
 def _common_and_relative(
@@ -269,6 +301,18 @@ def _plane(
     )
 
 
+def _views(name: str, sensor: Literal["ideal", "random"]) -> Protocol:
+    return Protocol(
+        name=name,
+        crop="views",
+        resampled=True,
+        max_angle_deg=180.0,
+        cloud_points=2048,
+        least_overlap=0.3,
+        sensor=sensor,
+    )
+
+
 _ALL = [
     _modelnet40(noise, angle, resampled=resampled, unseen=unseen)
     for noise in ("clean", "noisy")
@@ -278,14 +322,7 @@ _ALL = [
     _plane("geotransformer/180", 180.0, 0.7, without_axisymmetric=True, unseen=False),
     _plane("rpmnet/45", 45.0, 0.7, without_axisymmetric=False, unseen=True),
     _plane("predator/45", 45.0, 0.5, without_axisymmetric=False, unseen=True),
-    Protocol(
-        name="mvp-rg",
-        crop="views",
-        resampled=True,
-        max_angle_deg=180.0,
-        sample_points=4096,
-        cloud_points=2048,
-        least_overlap=0.3,
-    ),
+    _views("mvp-rg", "ideal"),
+    _views("mvp-rg-sensor", "random"),
 ]
 PROTOCOLS: dict[str, Protocol] = {protocol.name: protocol for protocol in _ALL}

@@ -1,14 +1,16 @@
-"""A virtual depth camera: what one view of an object sees, and pairs of such views."""
+"""Pairs of scans of one object, from random sides."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from collections.abc import Callable, Iterator, Sequence
+from typing import Literal
 
 import numpy as np
 import trimesh
-from jaxtyping import Bool, Float, Int
-from scipy.spatial import cKDTree
+from jaxtyping import Float
 
+from fullturn.data.camera import Camera, look_at
 from fullturn.data.motion import (
     ball_translation,
     invert,
@@ -17,112 +19,17 @@ from fullturn.data.motion import (
     uniform_direction,
     uniform_rotation,
 )
+from fullturn.data.overlap import scan_overlap
 from fullturn.data.pair import Pair
-from fullturn.data.surface import sample_faces
+from fullturn.data.raycast import mesh_ball
+from fullturn.data.scanner import Scanner, Seen, spread
+from fullturn.data.sensor import Sensor
 from fullturn.errors import InputError
 
-# Samples per wanted point: with fewer, hidden surfaces shine through pixels without a sample.
-_DENSITY = 72
-_LEAST_DENSE = 100_000
-_SPARE = 1.15  # more pixels than points are asked for, so that a random choice is left
-
-
-def scan(
-    surface: trimesh.Trimesh | Float[np.ndarray, "dense 3"],
-    camera: Float[np.ndarray, "3"],
-    *,
-    count: int = 2048,
-    rng: np.random.Generator,
-    noise_sigma: float = 0.0,
-    grazing_deg: float = 0.0,
-) -> Float[np.ndarray, "n 3"]:
-    """The points of a surface that a camera sees, one a pixel, in the frame of the surface.
-
-    A dense sample is projected (pinhole, looking at its mean) onto a grid whose pixels are sized
-    for about `count` hits; the nearest sample of each pixel is kept. At most `count` points come
-    back, fewer where many returns are lost at grazing angles.
-
-    `noise_sigma` is the standard deviation along the line of sight, in the surface's unit. Below
-    `grazing_deg` between line of sight and surface, returns get lost: all at 0°, none at the limit;
-    that needs a mesh, whose normals are known.
-    """
-    camera = np.asarray(camera, dtype=np.float64)
-    if isinstance(surface, trimesh.Trimesh):
-        dense, face = sample_faces(surface, max(_DENSITY * count, _LEAST_DENSE), rng)
-    elif grazing_deg > 0.0:
-        raise InputError(
-            "expected a mesh for grazing_deg > 0, got bare points; pass a mesh or grazing_deg=0"
-        )
-    else:
-        dense = np.asarray(surface, dtype=np.float64)
-    image, depth = _project(dense, camera)
-    seen = np.flatnonzero(_nearest_per_pixel(image, depth, round(_SPARE * count)))
-    if isinstance(surface, trimesh.Trimesh) and grazing_deg > 0.0:
-        normals = np.asarray(surface.face_normals)[face[seen]]
-        sight = dense[seen] - camera
-        sine = np.abs((normals * sight).sum(axis=1)) / np.linalg.norm(sight, axis=1)
-        seen = seen[sine >= rng.random(len(seen)) * np.sin(np.deg2rad(grazing_deg))]
-    points = dense[rng.permutation(seen)[:count]]
-    if noise_sigma > 0.0:
-        sight = points - camera
-        sight /= np.linalg.norm(sight, axis=1, keepdims=True)
-        points = points + rng.normal(0.0, noise_sigma, (len(points), 1)) * sight
-    return points
-
-
-@dataclass(frozen=True, eq=False)
-class View:
-    """What one camera sees, in the frame of the surface."""
-
-    points: Float[np.ndarray, "n 3"]
-    camera: Float[np.ndarray, "3"]
-
-
-def two_views(
-    mesh: trimesh.Trimesh,
-    rng: np.random.Generator,
-    *,
-    points: int,
-    min_overlap: float,
-    distance: tuple[float, float] = (2.0, 4.0),
-    noise_sigma: float = 0.0,
-    grazing_deg: float = 0.0,
-    tries: int = 12,
-) -> tuple[View, View, float]:
-    """Two overlapping scans of a mesh in its own frame, and the radius of the mesh.
-
-    `distance` (a range to draw from) and `noise_sigma` are in radii of the mesh, around the center
-    of its bounding box. The second camera is drawn again, closer and closer to the first, until
-    `scan_overlap` reaches `min_overlap`.
-    """
-    center = mesh.bounds.mean(axis=0)
-    size = float(np.linalg.norm(mesh.vertices - center, axis=1).max())
-
-    def view(direction: np.ndarray) -> View:
-        camera = center + size * rng.uniform(*distance) * direction
-        cloud = scan(
-            mesh,
-            camera,
-            count=points,
-            rng=rng,
-            noise_sigma=noise_sigma * size,
-            grazing_deg=grazing_deg,
-        )
-        return View(cloud, camera)
-
-    first_direction = uniform_direction(rng)
-    source = view(first_direction)
-    for attempt in range(tries):
-        widest_deg = 180.0 * (1.0 - attempt / tries)
-        target = view(_turned(first_direction, rng, max_angle_deg=widest_deg))
-        if scan_overlap(source.points, target.points) >= min_overlap:
-            break
-    else:
-        raise InputError(
-            f"expected views that overlap by {min_overlap}, found none in {tries} tries; "
-            "lower min_overlap"
-        )
-    return source, target, size
+# Returns asked for, in numbers of wanted points, so that a choice is left; farthest points need a
+# larger one to spread well.
+_CHOICE = {"random": 1.2, "farthest": 1.6}
+_FIRST_PIXELS = 48  # a side, of the look that says how many pixels it takes
 
 
 def scan_pair(
@@ -132,100 +39,119 @@ def scan_pair(
     points: int = 2048,
     min_overlap: float = 0.3,
     distance: tuple[float, float] = (2.0, 4.0),
-    noise_sigma: float = 0.0,
-    grazing_deg: float = 0.0,
+    sensor: Sensor | None = None,
+    thinning: Literal["random", "farthest"] = "random",
     name: str = "scan",
     tries: int = 12,
+    backend: Literal["auto", "embree", "python"] = "auto",
 ) -> Pair:
-    """Two views of a mesh from random sides (`two_views`), each under its own random motion."""
-    source, target, size = two_views(
-        mesh,
-        rng,
-        points=points,
-        min_overlap=min_overlap,
-        distance=distance,
-        noise_sigma=noise_sigma,
-        grazing_deg=grazing_deg,
-        tries=tries,
+    """Two views of a mesh from random sides that overlap, each under its own random motion.
+
+    Each eye is at a distance out of the range `distance` from the middle of the mesh, in radii of
+    a ball around it. The second is drawn nearer and nearer to the first until `scan_overlap` of the
+    two clouds reaches `min_overlap`. A cloud is a random choice of `points` returns, or farthest
+    points; it has fewer where a view has fewer returns, but at least half as many.
+
+    Raises:
+        InputError: no two such views in `tries` tries, a mesh that can't be seen (`Raycaster`), or
+            a number out of its range.
+        DependencyError: Embree was asked for and is not installed.
+    """
+    if points < 2 or tries < 1:
+        raise InputError(f"expected at least 2 points and 1 try, got {points} and {tries}")
+    if not 1.0 < distance[0] <= distance[1] < math.inf:
+        raise InputError(
+            "distance: expected a range above 1 radius, so that the eye is outside, got "
+            f"{distance[0]} to {distance[1]}"
+        )
+    if thinning not in _CHOICE:
+        raise InputError(f"thinning: expected random or farthest, got {thinning!r}")
+    center, radius = mesh_ball(mesh)
+    scanner = Scanner(mesh, sensor=sensor, radius=radius, backend=backend)
+
+    def look(direction: np.ndarray) -> Seen | None:
+        camera = _camera(center, radius, direction, distance=rng.uniform(*distance))
+        wanted = round(_CHOICE[thinning] * points)
+        return scanner.look(camera, wanted=wanted, enough=-(-points // 2), rng=rng)
+
+    for views in _two_views(look, center, rng, tries=tries):
+        clouds = [view.points[:points] for view in views]
+        if scan_overlap(*clouds) < min_overlap:
+            continue
+        if thinning == "farthest":
+            # Only now, for they take longer than all the rest.
+            clouds = [spread(view.points, points) for view in views]
+            if scan_overlap(*clouds) < min_overlap:
+                continue
+        return _moved(clouds, [view.camera for view in views], radius, rng, name)
+    raise InputError(
+        f"expected two views of {points} points that overlap by {min_overlap}, found none in "
+        f"{tries} tries; lower min_overlap"
     )
-    T_source_object, T_target_object = (
-        rigid(uniform_rotation(rng), ball_translation(rng, max_length=size)) for _ in range(2)
+
+
+def _two_views(
+    look: Callable[[np.ndarray], Seen | None],
+    center: Float[np.ndarray, "3"],
+    rng: np.random.Generator,
+    *,
+    tries: int,
+) -> Iterator[tuple[Seen, Seen]]:
+    """A view from a random side, and second ones, nearer and nearer to it."""
+    firsts = (look(uniform_direction(rng)) for _ in range(tries))
+    first = next((view for view in firsts if view is not None), None)
+    if first is None:
+        return
+    toward = first.camera.center - center
+    toward /= np.linalg.norm(toward)
+    for attempt in range(tries):
+        widest_deg = 180.0 * (1.0 - attempt / tries)
+        second = look(_turned(toward, rng, max_angle_deg=widest_deg))
+        if second is not None:
+            yield first, second
+
+
+def _moved(
+    clouds: Sequence[Float[np.ndarray, "_ 3"]],
+    cameras: Sequence[Camera],
+    radius: float,
+    rng: np.random.Generator,
+    name: str,
+) -> Pair:
+    """The pair of two views, each under its own motion."""
+    motions = [
+        rigid(uniform_rotation(rng), ball_translation(rng, max_length=radius)) for _ in clouds
+    ]
+    source, target = (move(*both) for both in zip(motions, clouds, strict=True))
+    source_viewpoint, target_viewpoint = (
+        move(motion, camera.center[None])[0]
+        for motion, camera in zip(motions, cameras, strict=True)
     )
     return Pair(
-        move(T_source_object, source.points),
-        move(T_target_object, target.points),
-        T_target_object @ invert(T_source_object),
+        source,
+        target,
+        motions[1] @ invert(motions[0]),
         name,
-        source_viewpoint=move(T_source_object, source.camera[None])[0],
-        target_viewpoint=move(T_target_object, target.camera[None])[0],
+        source_viewpoint=source_viewpoint,
+        target_viewpoint=target_viewpoint,
     )
 
 
-def scan_overlap(first: Float[np.ndarray, "n 3"], second: Float[np.ndarray, "m 3"]) -> float:
-    """The smaller of the two shares of points that have a partner in the other scan.
-
-    A partner lies within twice the median point spacing of the scan that it is in. Both scans are
-    in one frame.
-    """
-    shares = []
-    for points, others in ((first, second), (second, first)):
-        tree = cKDTree(others)
-        spacing = np.median(tree.query(others, k=2)[0][:, 1])
-        shares.append(np.mean(tree.query(points, distance_upper_bound=2.0 * spacing)[0] < np.inf))
-    return float(min(shares))
-
-
-def _project(
-    dense: Float[np.ndarray, "dense 3"], camera: Float[np.ndarray, "3"]
-) -> tuple[Float[np.ndarray, "dense 2"], Float[np.ndarray, "dense"]]:
-    """Image coordinates x/z, y/z and depth z of a pinhole camera; behind it, depth is infinite."""
-    forward = dense.mean(axis=0) - camera
-    length = np.linalg.norm(forward)
-    if length == 0.0:
-        raise InputError("expected a camera away from the surface's mean, got the mean itself")
-    forward = forward / length
-    right = np.cross(forward, np.eye(3)[np.argmin(np.abs(forward))])
-    right /= np.linalg.norm(right)
-    local = (dense - camera) @ np.stack([right, np.cross(forward, right), forward], axis=1)
-    depth = local[:, 2]
-    front = depth > 1e-6 * length
-    if not front.any():
-        raise InputError("expected a surface in front of the camera, found all of it behind")
-    image = local[:, :2] / np.where(front, depth, 1.0)[:, None]
-    return image, np.where(front, depth, np.inf)
-
-
-def _nearest_per_pixel(
-    image: Float[np.ndarray, "dense 2"], depth: Float[np.ndarray, "dense"], wanted: int
-) -> Bool[np.ndarray, "dense"]:
-    """The nearest sample of each pixel, the pixels sized so that about `wanted` are hit."""
-    front = np.isfinite(depth)
-    low = image[front].min(axis=0)
-    span = image[front].max(axis=0) - low
-    pixel = max(float(np.sqrt(span.prod() / wanted)), float(span.max()) / wanted, 1e-12)
-    # The share of the rectangle that the object fills is known only after a first count.
-    some = image[front][::4]
-    for _ in range(2):
-        index, pixels = _pixel_index(some, low, span, pixel)
-        hit = np.zeros(pixels, dtype=bool)
-        hit[index] = True
-        pixel *= float(np.sqrt(hit.sum() / wanted))
-    index, pixels = _pixel_index(image, low, span, pixel)
-    buffer = np.full(pixels, np.inf)
-    np.minimum.at(buffer, index, depth)
-    return front & (depth == buffer[index])
-
-
-def _pixel_index(
-    image: Float[np.ndarray, "dense 2"],
-    low: Float[np.ndarray, "2"],
-    span: Float[np.ndarray, "2"],
-    pixel: float,
-) -> tuple[Int[np.ndarray, "dense"], int]:
-    cells = np.maximum(np.ceil(span / pixel).astype(np.int64), 1)
-    # Samples behind the camera land anywhere; clipping keeps them inside, their depth is infinite.
-    cell = np.clip(((image - low) / pixel).astype(np.int64), 0, cells - 1)
-    return cell[:, 0] * cells[1] + cell[:, 1], int(cells.prod())
+def _camera(
+    center: Float[np.ndarray, "3"],
+    radius: float,
+    direction: Float[np.ndarray, "3"],
+    *,
+    distance: float,
+) -> Camera:
+    """A camera whose image just holds the ball."""
+    return look_at(
+        center + distance * radius * direction,
+        center,
+        fov_deg=math.degrees(2.0 * math.asin(1.0 / distance)),
+        width=_FIRST_PIXELS,
+        height=_FIRST_PIXELS,
+    )
 
 
 def _turned(

@@ -50,7 +50,8 @@ class DataConfig(_Checked):
     protocols: tuple[str, ...] = ("modelnet40/clean/180",)  # of several, each pair draws one
     shapes: tuple[ShapesConfig, ...] = (ShapesConfig("procedural"),)
     classes: Literal["all", "seen"] = "all"  # seen: the first 20 of ModelNet40
-    sample_points: int | None = _number(None, least=4)  # of an object; None: the protocol's
+    # Of an object; None: the protocol's. Virtual views take none.
+    sample_points: int | None = _number(None, least=4)
     cloud_points: int | None = _number(None, least=4)  # of each cloud; None: the protocol's
     # method: clouds centered on their means and of one common length, as a method sees them;
     # made: as the protocol makes them

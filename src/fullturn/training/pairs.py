@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -12,8 +13,9 @@ import numpy as np
 from fullturn.data.categories import SEEN_CLASSES
 from fullturn.data.open import find, open_shapes
 from fullturn.data.pair import Pair
-from fullturn.data.protocols import PROTOCOLS, Protocol, make_pair
-from fullturn.data.shapes import MeshPack, ShapeSource
+from fullturn.data.protocols import PROTOCOLS, Protocol, make_pair, view_rules
+from fullturn.data.shapes import MeshPack, MeshSource, ShapeSource
+from fullturn.data.view_pool import ViewPool
 from fullturn.errors import InputError
 from fullturn.normalize import normalized_clouds
 from fullturn.training.config import DataConfig, ShapesConfig, ValidationConfig
@@ -21,6 +23,8 @@ from fullturn.training.config import DataConfig, ShapesConfig, ValidationConfig
 # Which shapes are held out doesn't depend on a run's seed: runs are compared on the same ones.
 _HELD_OUT_SEED = 20_231
 _STREAMS = {"training": 0, "validation": 1}
+_REPLACEMENTS = 20  # shapes tried for one pair of views
+_POOL_BYTES = 1 << 29  # of views that are kept, in each process that makes pairs
 
 
 class RunPairs:
@@ -53,10 +57,20 @@ class RunPairs:
         rng = np.random.default_rng([self._data.seed, number, _STREAMS[self._part]])
         place = int(rng.choice(len(self._places), p=self._shares))
         protocol = self._protocols[int(rng.integers(len(self._protocols)))]
-        source, indices = self._places[place]
-        turn = self._order(place, number // len(indices))
-        pair = make_pair(protocol, source, int(indices[turn[number % len(indices)]]), rng=rng)
+        pair = self._made(protocol, place, number, rng)
         return pair if self._data.frame == "made" else in_frame_of_method(pair)
+
+    def _made(self, protocol: Protocol, place: int, number: int, rng: np.random.Generator) -> Pair:
+        """The pair of the shape whose turn it is; of a later one, if no two views of it overlap."""
+        source, indices = self._places[place]
+        order = indices[self._order(place, number // len(indices))]
+        pool = self._pools.get((place, protocol.name))
+        make = partial(make_pair, protocol, source, rng=rng, pool=pool)
+        following = np.roll(order, -(number % len(indices)))[:_REPLACEMENTS].tolist()
+        for index in following[:-1] if protocol.crop == "views" else []:
+            with suppress(InputError):
+                return make(index)
+        return make(following[-1] if protocol.crop == "views" else following[0])
 
     @property
     def count(self) -> int:
@@ -83,6 +97,27 @@ class RunPairs:
             if (value := getattr(self._data, key)) is not None
         }
         return [replace(PROTOCOLS[name], **changes) for name in self._data.protocols]
+
+    @cached_property
+    def _pools(self) -> dict[tuple[int, str], ViewPool]:
+        """Views of the shapes of each place, by each protocol that has any."""
+        # Validation's pairs are made once.
+        wanted = [
+            (place, source, protocol)
+            for place, (source, _) in enumerate(self._places)
+            for protocol in self._protocols
+            if protocol.crop == "views" and self._part == "training"
+            if isinstance(source, MeshSource)
+        ]
+        return {
+            (place, protocol.name): ViewPool(
+                source,
+                partial(view_rules, protocol),
+                seed=(self._data.seed, place),
+                most_bytes=_POOL_BYTES // len(wanted),
+            )
+            for place, source, protocol in wanted
+        }
 
     @cached_property
     def _places(self) -> list[tuple[ShapeSource, np.ndarray]]:
