@@ -16,7 +16,7 @@ from fullturn import api
 from fullturn.errors import InputError, ReadError
 from fullturn.geometry.cloud import Cloud
 from fullturn.io import save_cloud
-from fullturn.methods.base import Estimate, Method
+from fullturn.methods.base import Estimate, Method, Traits
 from fullturn.methods.registry import DEFAULT, get, methods, names
 
 
@@ -104,6 +104,37 @@ def test_the_seed_reaches_the_method(recorder: type[Recorder]) -> None:
         draws.append(recorder.seen[2].random())
     assert draws[0] == draws[1] != draws[2]
     assert draws[2] == np.random.default_rng(4).random()
+
+
+def test_the_largest_rotation_reaches_the_method(monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[Any] = []
+
+    class Limited(Recorder):
+        traits = Traits(limits_rotation=True)
+
+        def estimate(
+            self,
+            source: Cloud,
+            target: Cloud,
+            *,
+            rng: np.random.Generator,
+            max_rotation_rad: float | None = None,
+        ) -> Estimate:
+            told.append(max_rotation_rad)
+            return super().estimate(source, target, rng=rng)
+
+    monkeypatch.setattr(api, "get", lambda _: Limited)
+    for limit_deg in (None, 90, 180.0):
+        fullturn.register(CLOUD, CLOUD, max_rotation_deg=limit_deg)
+    assert told == [None, pytest.approx(np.pi / 2), np.pi]
+    with pytest.raises(InputError, match="expected an angle above 0 and up to 180, or None, got 0"):
+        fullturn.register(CLOUD, CLOUD, max_rotation_deg=0)
+
+
+def test_a_method_that_takes_no_largest_rotation_says_which_do() -> None:
+    told = r"expected a method that takes one \(consensus, .*\), got icp-point; choose"
+    with pytest.raises(InputError, match=told):
+        fullturn.register(CLOUD, CLOUD, method="icp-point", max_rotation_deg=45)
 
 
 def test_a_method_that_states_no_probability_gets_the_verdict() -> None:

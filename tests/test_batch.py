@@ -54,12 +54,45 @@ def test_a_failing_pair_is_its_error_and_stops_no_other(workers: int, tmp_path: 
 
 def test_no_pairs_and_wrong_arguments() -> None:
     assert register_many([], method="icp-point") == []
-    for options in ({"workers": 0}, {"workers": 1.5}, {"method": "x"}, {"seed": -1}):
+    wrong: list[dict[str, Any]] = [
+        {"workers": 0},
+        {"workers": 1.5},
+        {"method": "x"},
+        {"seed": -1},
+        {"max_rotation_deg": 45},  # which ICP doesn't take
+        {"method": "consensus", "max_rotation_deg": 0},
+    ]
+    for options in wrong:
         with pytest.raises(InputError):
-            register_many([(CLOUD, CLOUD)], **{"method": "icp-point", **options})  # type: ignore[arg-type]
+            register_many([(CLOUD, CLOUD)], **{"method": "icp-point", **options})
     for pairs in (None, 5, "ab"):
         with pytest.raises(InputError, match="pairs"):
             register_many(pairs, method="icp-point")  # type: ignore[arg-type]
+
+
+LIMITED = """
+import torch
+from fullturn.methods.base import Estimate, Method, Traits
+
+class Limited(Method):
+    name, summary, reference = "limited", "turns as far as it may", "this test"
+    traits = Traits(limits_rotation=True)
+    def estimate(self, source, target, *, rng, max_rotation_rad=None):
+        T = torch.eye(4, dtype=torch.float64)
+        c, s = torch.tensor(max_rotation_rad).cos(), torch.tensor(max_rotation_rad).sin()
+        T[:2, :2] = torch.tensor([[c, -s], [s, c]])
+        return Estimate(T[None], torch.tensor([0.5]))
+"""
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_every_pair_has_the_largest_rotation(workers: int, tmp_path: Path) -> None:
+    (tmp_path / "limited.py").write_text(LIMITED)
+    method = f"{tmp_path / 'limited.py'}:Limited"
+    pairs = [(CLOUD, CLOUD)] * 2
+    for result in register_many(pairs, method=method, max_rotation_deg=30, workers=workers):
+        assert isinstance(result, Registration)
+        assert result.T_target_source[1, 0] == pytest.approx(0.5)
 
 
 def test_a_fault_in_a_method_is_one_pairs_error(monkeypatch: pytest.MonkeyPatch) -> None:

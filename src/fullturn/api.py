@@ -6,18 +6,17 @@ import time
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import torch
 
 from fullturn.batch import RegistrationInterrupted, check_seed, register_many
 from fullturn.errors import InputError
 from fullturn.geometry.cloud import Cloud
 from fullturn.io import LoadedCloud, load_cloud
 from fullturn.methods.base import Estimate
-from fullturn.methods.check import checked_estimate
+from fullturn.methods.check import check_max_rotation, run_method
 from fullturn.methods.registry import get, methods
 from fullturn.normalize import normalized_clouds
 from fullturn.pose.explain import explain, pose_overlap
-from fullturn.pose.search import measure_pose
+from fullturn.pose.search import measure_poses
 from fullturn.pose.verdict import load_weights, log_probabilities, verdict_inputs
 from fullturn.result import Alternative, Registration, Symmetry
 from fullturn.threads import torch_threads
@@ -37,12 +36,16 @@ def register(
     seed: int = 0,
     source_viewpoint: Any = None,
     target_viewpoint: Any = None,
+    max_rotation_deg: float | None = None,
 ) -> Registration:
     """Find the pose of `source` in the frame of `target`, with the probability that it is right.
 
     Each cloud is a file path, an (N, 3) array, list or tensor, an object with `.points` or
     `.vertices`, a mesh (sampled) or a `LoadedCloud`. Any unit will do, the same for both. A
     viewpoint (3,) says where the sensor stood, in the frame and unit of its cloud.
+    `max_rotation_deg`, where it is known, is the largest rotation that can lie between the clouds
+    as they come in: only poses whose R turns by no more are looked for. A translation isn't bounded
+    by it.
     Where `load_cloud` drops missing returns, `matches` count the points that stayed.
 
     >>> rng = np.random.default_rng(0)
@@ -52,12 +55,14 @@ def register(
     array([5., 5., 5.])
 
     Raises:
-        InputError: a cloud, viewpoint, seed or method name that cannot be used.
+        InputError: a cloud, viewpoint, seed, method name or largest rotation that cannot be used,
+            or a method that takes no largest rotation.
         ReadError: a file that cannot be read.
     """
     begin = time.perf_counter()
     solver = get(method)()
     rng = np.random.default_rng(check_seed(seed))
+    max_rotation_deg = check_max_rotation(max_rotation_deg, type(solver))
     source_cloud, target_cloud = _load(source, "source"), _load(target, "target")
     source_eye = _viewpoint(source_viewpoint, "source_viewpoint")
     target_eye = _viewpoint(target_viewpoint, "target_viewpoint")
@@ -68,7 +73,9 @@ def register(
     )
     normalized = time.perf_counter()
 
-    estimate = checked_estimate(solver.estimate(source_seen, target_seen, rng=rng), solver.name)
+    estimate = run_method(
+        solver, source_seen, target_seen, rng=rng, max_rotation_deg=max_rotation_deg
+    )
     estimated = time.perf_counter()
 
     probabilities = _probabilities(source_seen, target_seen, estimate)
@@ -104,7 +111,7 @@ def register(
             "total": end - begin,
         },
         method=solver.name,
-        notes=(*source_cloud.notes, *target_cloud.notes, *frame.notes),
+        notes=(*source_cloud.notes, *target_cloud.notes, *frame.notes, *estimate.notes),
     )
 
 
@@ -116,7 +123,7 @@ def _probabilities(source: Cloud, target: Cloud, estimate: Estimate) -> list[flo
     """What the method states of each of its poses, or the verdict on them where it states none."""
     if estimate.success_probability is not None:
         return [float(p) for p in estimate.success_probability]
-    features = torch.cat([measure_pose(source, target, T) for T in estimate.T_target_source])
+    features = measure_poses(source, target, estimate.T_target_source)
     # The method's own order stays: its best pose is its answer, whatever the verdict thinks.
     log_probability = log_probabilities(verdict_inputs(features.double()), load_weights())
     return [float(p) for p in log_probability.exp()[:-1]]

@@ -10,6 +10,7 @@ from typing import Any
 
 from fullturn.errors import FullturnError, InputError, one_line
 from fullturn.io.load import load_cloud
+from fullturn.methods.check import check_max_rotation
 from fullturn.methods.registry import get
 from fullturn.progress import progress_bar
 from fullturn.result import Registration
@@ -35,23 +36,27 @@ def register_many(
     *,
     method: str = "auto",
     seed: int = 0,
+    max_rotation_deg: float | None = None,
     workers: int | None = None,
     progress: bool = False,
 ) -> list[Outcome]:
     """Register every (source, target) pair; a pair that fails becomes its error in the list.
 
-    The results are those of `register(source, target, method=method, seed=seed)`, bit for bit, for
-    any number of workers. `workers` defaults to the number of CPUs; 1 stays in this process.
+    The results are those of `register(source, target, …)` with the same `method`, `seed` and
+    `max_rotation_deg`, bit for bit, for any number of workers. `workers` defaults to the number of
+    CPUs; 1 stays in this process.
     Workers start afresh ("spawn"): a script calls this from under ``if __name__ == "__main__":``.
 
     Raises:
-        InputError: `pairs`, `method`, `seed` or `workers` cannot be used at all.
+        InputError: `pairs`, `method`, `seed`, `max_rotation_deg` or `workers` cannot be used at
+            all.
         DependencyError: the method's package is missing.
         FullturnError: worker processes cannot start.
         RegistrationInterrupted: Ctrl-C; it carries the finished results.
     """
-    get(method)()  # says now, and not once per pair, that a package is missing
+    solver = get(method)()  # says now, and not once per pair, that a package is missing
     check_seed(seed)
+    check_max_rotation(max_rotation_deg, type(solver))
     if isinstance(pairs, (str, bytes)) or not isinstance(pairs, Iterable):
         raise InputError(
             f"pairs: expected (source, target) pairs, got a {type(pairs).__name__}; give a list"
@@ -59,7 +64,7 @@ def register_many(
     most = check_workers(workers)
     todo = list(pairs)
     results: list[Outcome | None] = [None] * len(todo)
-    work = partial(_outcome, method=method, seed=seed)
+    work = partial(_outcome, method=method, seed=seed, max_rotation_deg=max_rotation_deg)
     with progress_bar("registering", len(todo), shown=progress) as advance:
 
         def done(number: int, outcome: Outcome) -> None:
@@ -93,12 +98,12 @@ def check_seed(seed: Any) -> int:
     return number
 
 
-def _outcome(pair: Any, *, method: str, seed: int) -> Outcome:
+def _outcome(pair: Any, *, method: str, seed: int, max_rotation_deg: float | None) -> Outcome:
     from fullturn.api import register
 
     try:
         source, target = _portable(pair)
-        return register(source, target, method=method, seed=seed)
+        return register(source, target, method=method, seed=seed, max_rotation_deg=max_rotation_deg)
     except FullturnError as error:
         return error.with_traceback(None)  # whose frames would keep the clouds in memory
     # A fault in one pair must not cost the others their results.

@@ -93,6 +93,7 @@ def test_report_and_figure(files: list[str], tmp_path: Path) -> None:
         (["{source}", "{target}", "--report", "a.pdf"], ".html"),
         (["{source}", "{target}", "--figure", "a.gif"], ".png"),
         (["{source}", "{source}/x"], "there is none"),
+        (["{source}", "{target}", "--max-rotation", "45", "--method", "icp"], "(consensus, "),
     ],
 )
 def test_known_errors_are_one_line_and_exit_with_1(
@@ -120,6 +121,11 @@ def test_known_errors_are_one_line_and_exit_with_1(
         ["register", "a.ply", "b.ply", "--min-probability", "nan"],
         ["register", "a.ply", "b.ply", "--source-viewpoint", "1,2"],
         ["register", "a.ply", "b.ply", "--target-viewpoint", "1,2,inf"],
+        ["register", "a.ply", "b.ply", "--max-rotation", "0"],
+        ["register", "a.ply", "b.ply", "--max-rotation", "180.5"],
+        ["register", "a.ply", "b.ply", "--max-rotation", "-45"],
+        ["register", "a.ply", "b.ply", "--max-rotation", "nan"],
+        ["register", "a.ply", "b.ply", "--max-rotation", "x"],
     ],
 )
 def test_wrong_usage_exits_with_2(arguments: list[str]) -> None:
@@ -143,6 +149,30 @@ def test_below_the_minimum_exits_with_3_and_still_answers(files: list[str], tmp_
 def test_viewpoints_may_begin_with_a_minus(files: list[str]) -> None:
     code, _, err = call("register", *files, "--source-viewpoint", "-1,2,3.5")
     assert (code, err) == (0, "")
+
+
+LIMITED = """
+import math
+import torch
+from fullturn.methods.base import Estimate, Method, Traits
+
+class Limited(Method):
+    name, summary, reference = "limited", "tells what it was told", "this test"
+    traits = Traits(limits_rotation=True)
+    def estimate(self, source, target, *, rng, max_rotation_rad=None):
+        told = {"told": math.degrees(max_rotation_rad)}
+        return Estimate(torch.eye(4).double()[None], torch.tensor([0.5]), seconds=told)
+"""
+
+
+def test_the_largest_rotation_reaches_the_method(files: list[str], tmp_path: Path) -> None:
+    (tmp_path / "limited.py").write_text(LIMITED)
+    method = f"{tmp_path / 'limited.py'}:Limited"
+    code, out, _ = call(
+        "register", *files[:2], "--method", method, "--max-rotation", "62.5", "--json"
+    )
+    assert code == 0
+    assert json.loads(out)["seconds"]["told"] == pytest.approx(62.5)
 
 
 def test_version_and_methods() -> None:

@@ -51,30 +51,38 @@ def test_frozen_pairs_are_a_set(tmp_path: Path) -> None:
     assert [part["count"] for part in summary["sets"].values()] == [2]
 
 
-def test_viewpoints_can_be_hidden(tmp_path: Path) -> None:
-    source = tmp_path / "needs_eyes.py"
-    source.write_text(
-        "import torch\n"
-        "from fullturn.methods.base import Estimate, Method\n"
-        "class NeedsEyes(Method):\n"
-        "    name, summary, reference = 'needs-eyes', 'fails where it is told where sensors "
-        "stood', 'a test'\n"
-        "    def estimate(self, source, target, *, rng):\n"
-        "        if source.viewpoint is not None or target.viewpoint is not None:\n"
-        "            raise ValueError('saw an eye')\n"
-        "        return Estimate(torch.eye(4, dtype=torch.float64)[None])\n"
-    )
-    for hidden, failures in (((), 1), (("--hide-viewpoints",), 0)):
+BLIND = """
+import torch
+from fullturn.methods.base import Estimate, Method, Traits
+
+class Blind(Method):
+    name, summary, reference = "blind", "fails where it is told anything", "a test"
+    traits = Traits(limits_rotation=True)
+    def estimate(self, source, target, *, rng, max_rotation_rad=None):
+        if any(x is not None for x in (source.viewpoint, target.viewpoint, max_rotation_rad)):
+            raise ValueError("told")
+        return Estimate(torch.eye(4, dtype=torch.float64)[None])
+"""
+
+
+def test_what_is_known_can_be_kept_back(tmp_path: Path) -> None:
+    (tmp_path / "blind.py").write_text(BLIND)
+    for options, failures in (((), 1), (("--blind",), 0)):
         done = run(
-            "--method", f"{source}:NeedsEyes", "--protocol", "mvp-rg", "--shapes", "procedural:1",
-            "--count", "1", "--workers", "1", "--cache", str(tmp_path / "cache"),
-            "--out", str(tmp_path / "run"), *hidden,
+            "--method", f"{tmp_path / 'blind.py'}:Blind", "--protocol", "mvp-rg", "rpmnet/45",
+            "--shapes", "procedural:1", "--count", "1", "--workers", "1",
+            "--cache", str(tmp_path / "cache"), "--out", str(tmp_path / "run"), *options,
         )  # fmt: skip
         assert done.exit_code == 0, done.output
-        sets = json.loads((tmp_path / "run" / "summary.json").read_text())["sets"]
-        name = "mvp-rg/no viewpoints" if hidden else "mvp-rg"
-        assert sets[name]["methods"]["needs-eyes"]["errors"] == failures
-        assert sets[name]["description"].get("viewpoints") == ("hidden" if hidden else None)
+        summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+        suffix = "/blind" if options else ""
+        assert list(summary["sets"]) == [f"mvp-rg{suffix}", f"rpmnet/45{suffix}"]
+        for part in summary["sets"].values():
+            assert part["methods"]["blind"]["errors"] == failures
+            assert part["description"].get("known") == ("nothing" if options else None)
+        assert summary["methods"]["blind"]["traits"]["limits_rotation"] is True
+        (wide,) = (set(" ".join(done.output.split()).split("told that rotations are at most")[1:]),)
+        assert bool(wide) is not bool(options)
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import dataclasses
 import json
 import subprocess
 from pathlib import Path
@@ -29,6 +30,7 @@ def assert_same(a: Pair, b: Pair) -> None:
         assert (first is None) == (second is None)
         assert first is None or (first.dtype, first.tobytes()) == (second.dtype, second.tobytes())
     assert (a.name, a.related) == (b.name, b.related)
+    assert a.max_rotation_deg == b.max_rotation_deg
 
 
 def test_what_was_frozen_comes_back_to_the_byte(tmp_path: Path) -> None:
@@ -42,6 +44,32 @@ def test_what_was_frozen_comes_back_to_the_byte(tmp_path: Path) -> None:
         for i in range(len(pairs)):
             assert_same(frozen.pair(i), pairs.pair(i))
             assert frozen.group(i) == pairs.group(i)
+
+
+class SomeKnown(PairSet):
+    """Of the even pairs, the largest rotation is known."""
+
+    name, description = "some", {"kind": "test"}
+
+    def __len__(self) -> int:
+        return 4
+
+    def pair(self, index: int) -> Pair:
+        limit_deg = 10.0 + index if index % 2 == 0 else None
+        return dataclasses.replace(some_pairs().pair(index), max_rotation_deg=limit_deg)
+
+
+def test_largest_rotations_come_back(tmp_path: Path) -> None:
+    limited = ProtocolPairs(PROTOCOLS["rpmnet/45"], ProceduralShapes(3), count=2)
+    for pairs in (limited, SomeKnown()):
+        freeze(pairs, tmp_path / "pairs.npz")
+        frozen = FrozenPairs(tmp_path / "pairs.npz")
+        for i in range(len(pairs)):
+            assert_same(frozen.pair(i), pairs.pair(i))
+    # Where none is known, files are what they were before there was such a thing.
+    freeze(some_pairs(), tmp_path / "pairs.npz")
+    with np.load(tmp_path / "pairs.npz") as archive:
+        assert "max_rotation_deg" not in archive.files
 
 
 def test_pairs_that_a_method_spoils_are_read_afresh(tmp_path: Path) -> None:

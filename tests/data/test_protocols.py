@@ -156,6 +156,43 @@ def test_relative_motion_fills_its_range(name: str, limit_deg: float) -> None:
     assert np.mean(lengths) == pytest.approx(0.125, rel=0.1)
 
 
+LIMITED = [name for name, protocol in PROTOCOLS.items() if protocol.rotation_limit_deg is not None]
+
+
+def test_the_rows_with_45_limit_the_rotation() -> None:
+    assert set(LIMITED) == {name for name in PROTOCOLS if "/45" in name}
+    for name, protocol in PROTOCOLS.items():
+        told = ProtocolPairs(protocol, shapes_for(name), count=1).description
+        assert told.get("told_rotation_deg") == protocol.rotation_limit_deg
+
+
+@pytest.mark.parametrize("name", LIMITED)
+def test_no_pair_is_turned_by_more_than_it_tells(name: str) -> None:
+    pairs = draw(name, 300)
+    (limit_deg,) = {pair.max_rotation_deg for pair in pairs}
+    assert limit_deg == PROTOCOLS[name].rotation_limit_deg
+    assert limit_deg is not None
+    assert max(map(angle_deg, pairs)) <= limit_deg + 1e-9
+
+
+@pytest.mark.parametrize("name", ["modelnet40/noisy/180", "geotransformer/180", "mvp-rg"])
+def test_pairs_in_the_full_range_tell_no_limit(name: str) -> None:
+    assert draw(name, 1)[0].max_rotation_deg is None
+
+
+@pytest.mark.parametrize("most_deg", [1.0, 20.0, 45.0, 80.0, 89.0, 95.0, 140.0, 180.0])
+def test_the_limit_of_euler_angles_is_their_largest_rotation(most_deg: float) -> None:
+    angles = np.linspace(0.0, most_deg, 25)
+    grid = np.stack(np.meshgrid(angles, angles, angles), axis=-1).reshape(-1, 3)
+    largest = np.degrees(Rotation.from_euler("zyx", grid, degrees=True).magnitude()).max()
+    limit = replace(PROTOCOLS["rpmnet/45"], max_angle_deg=most_deg).rotation_limit_deg
+    if most_deg < 90.0:
+        assert limit == pytest.approx(largest, abs=1e-6)
+    else:
+        assert limit is None
+        assert largest > 170.0
+
+
 @pytest.mark.parametrize("name", ["geotransformer/180", "rpmnet/45", "predator/45"])
 def test_plane_protocols(name: str) -> None:
     pairs = draw(name, 200)

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from run_pairs import listed_pairs, write_methods
 
 import fullturn
@@ -12,6 +13,8 @@ from fullturn.data.pair import Pair
 from fullturn.data.protocols import PROTOCOLS, ProtocolPairs
 from fullturn.data.shapes import ProceduralShapes
 from fullturn.evaluation.predict import Predictor, pair_hash, predict
+from fullturn.geometry.cloud import Cloud
+from fullturn.methods.base import Estimate, Method, Traits
 from fullturn.methods.registry import get
 
 
@@ -44,11 +47,37 @@ def test_failures_have_a_reason_and_the_identity(tmp_path: Path) -> None:
         assert answer.success_probability is None
 
 
+def test_a_method_is_told_the_largest_rotation_if_it_takes_one(pair: Pair) -> None:
+    class Limited(Method):
+        name, summary, reference = "limited", "keeps what it was told", "this test"
+        traits = Traits(limits_rotation=True)
+
+        def estimate(
+            self,
+            source: Cloud,
+            target: Cloud,
+            *,
+            rng: np.random.Generator,
+            max_rotation_rad: float | None = None,
+        ) -> Estimate:
+            self.told = max_rotation_rad
+            return Estimate(torch.eye(4, dtype=torch.float64)[None])
+
+    method, limited = Limited(), dataclasses.replace(pair, max_rotation_deg=45.0)
+    for known, told in ((limited, np.pi / 4), (pair, None)):
+        assert predict(method, known, seed=0).error is None
+        assert method.told == told
+        assert predict(get("icp-point")(), known, seed=0).error is None
+
+
 def test_the_hash_is_of_what_a_method_sees(pair: Pair) -> None:
     known = pair_hash(pair)
     again = dataclasses.replace(pair, name="other", T_target_source=np.eye(4))
     assert pair_hash(again) == known
     assert pair_hash(dataclasses.replace(pair, source=pair.target, target=pair.source)) != known
+    limits = [pair_hash(dataclasses.replace(pair, max_rotation_deg=x)) for x in (None, 45.0, 46.0)]
+    assert limits[0] == known
+    assert len(set(limits)) == 3
     nudged = pair.source.copy()
     nudged[0, 0] = np.nextafter(nudged[0, 0], 9)
     assert pair_hash(dataclasses.replace(pair, source=nudged)) != known

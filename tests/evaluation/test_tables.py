@@ -108,7 +108,7 @@ def test_the_main_table_has_the_best_published_row(tmp_path: Path) -> None:
 
 
 def test_a_set_like_the_papers_has_its_rows_once_and_no_difference(tmp_path: Path) -> None:
-    sets = read_runs([run(tmp_path / "a", "mvp-rg/built", "mvp-rg/built/no viewpoints")])
+    sets = read_runs([run(tmp_path / "a", "mvp-rg/built", "mvp-rg/built/blind")])
     (table,) = full_tables(sets)
     assert table.header[-1] == ("CPU s",)
     published = [row[1] for row in table.rows if row[1].startswith("paper: ")]
@@ -118,6 +118,54 @@ def test_a_set_like_the_papers_has_its_rows_once_and_no_difference(tmp_path: Pat
     assert any("pairs of the MVP-RG dataset" in note for note in table.notes)
     main = main_table(sets)
     assert [row[1] for row in main.rows] == ["ours", "ours", "GMCNet, as published"]
+
+
+def limited_run(folder: Path, limits_deg: dict[str, float | None], *takers: str) -> Path:
+    """Of the methods "ours" and "icp", the takers take the largest rotation."""
+    sets = {name: set_part({"ours": summary(), "icp": summary()}) for name in limits_deg}
+    for name, limit_deg in limits_deg.items():
+        if limit_deg is not None:
+            sets[name]["description"]["told_rotation_deg"] = limit_deg
+    path = write_run(folder, sets) / "summary.json"
+    content = json.loads(path.read_text())
+    for method, described in content["methods"].items():
+        described["traits"] = {"limits_rotation": method in takers}
+    path.write_text(json.dumps(content))
+    return folder
+
+
+def test_who_was_told_how_far_clouds_are_turned_is_noted(tmp_path: Path) -> None:
+    small, blind = "modelnet40/noisy/45", "modelnet40/noisy/45/blind"
+    limits = {small: 45.0, "modelnet40/clean/45": 45.0, blind: None, NOISY: None}
+    sets = read_runs([limited_run(tmp_path / "a", limits, "ours")])
+    told = f"ours was told that rotations are at most 45° in {small}, modelnet40/clean/45."
+    for table in (*full_tables(sets), main_table(sets)):
+        assert told in table.notes
+    assert any("told that" in note for note in paper_layout(sets)[0].notes)
+    limits = {"rpmnet/45": 85.802, "geotransformer/180": None}
+    (table,) = full_tables(read_runs([limited_run(tmp_path / "b", limits, "ours", "icp")]))
+    assert "ours and icp were told that rotations are at most 85.8° in rpmnet/45." in table.notes
+    untold = read_runs([limited_run(tmp_path / "c", limits)])
+    assert not any("told that" in note for note in main_table(untold).notes)
+
+
+def test_blind_pairs_stand_beside_the_paper_as_the_others_do(tmp_path: Path) -> None:
+    sets = read_runs([run(tmp_path / "a", NOISY, f"{NOISY}/blind")])
+    (table,) = full_tables(sets)
+    ours = [row for row in table.rows if row[1] == "ours"]
+    assert [row[-3:] for row in ours] == [ours[0][-3:]] * 2
+    assert ours[0][-3] == "−15.63"
+    published = [row[1] for row in table.rows if row[1].startswith("paper: ")]
+    assert len(published) == len(paper.published_rows(NOISY))
+    assert "paper: GMCNet (PPF), base of Δ" in published
+
+
+def test_runs_on_the_same_pairs_may_differ_in_what_they_tell(tmp_path: Path) -> None:
+    name = "modelnet40/noisy/45"
+    before = run(tmp_path / "a", name, methods=("before",))
+    (found,) = read_runs([before, limited_run(tmp_path / "b", {name: 45.0}, "ours")])
+    told = {method: one.told_rotation_deg for method, one in found.methods.items()}
+    assert told == {"before": None, "ours": 45.0, "icp": None}
 
 
 def test_the_layout_of_the_paper(tmp_path: Path) -> None:

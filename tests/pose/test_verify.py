@@ -13,8 +13,9 @@ from torch import Tensor
 
 from fullturn.geometry import rigid
 from fullturn.geometry.sampling import local_area
-from fullturn.pose.levels import Level
-from fullturn.pose.verify import FEATURES, Surface, measure, prepare_surface
+from fullturn.pose.grid import NearestGrid
+from fullturn.pose.levels import Level, LevelPair
+from fullturn.pose.verify import MEASURED, Surface, agreement, measure, prepare_surface
 
 H = 0.05
 T_TRUE = random_motions(1, seed=1)[0]
@@ -90,7 +91,7 @@ def one_side(T: np.ndarray, moving: Surface, fixed: Surface) -> dict[str, float]
 def test_every_feature_by_hand(which: int) -> None:
     T = T_TRUE @ perturbations(4, seed=2, angle_deg=3.0 + 8 * which, length=0.02 * which)[which]
     source, target = surface(900, 1), surface(700, 2, T=T_TRUE)
-    found = dict(zip(FEATURES, measure(T[None], source, target, spacing=H)[0], strict=True))
+    found = dict(zip(MEASURED, measure(T[None], source, target, spacing=H)[0], strict=True))
     there = one_side(T.numpy(), source, target)
     back = one_side(np.linalg.inv(T.numpy()), target, source)
     for name, value in there.items():
@@ -98,9 +99,10 @@ def test_every_feature_by_hand(which: int) -> None:
     for name in SIDED:
         expected = abs(there[name] - back[name])
         assert float(found[f"{name}_sides"]) == pytest.approx(expected, abs=1e-6)
-    assert {name for name in FEATURES if name.startswith("sight")} == {
+    assert {name for name in MEASURED if name.startswith("sight")} == {
         "sight_blocked",
         "sight_empty",
+        "sight_outside",
         "sight_known",
     }
     assert float(found["sight_known"]) == 0.0
@@ -110,10 +112,10 @@ def test_every_feature_by_hand(which: int) -> None:
 
 
 def test_the_names_are_distinct_and_one_row_comes_per_pose() -> None:
-    assert len(set(FEATURES)) == len(FEATURES)
+    assert len(set(MEASURED)) == len(MEASURED)
     T = random_motions(7, seed=3)
     features = measure(T, surface(300, 1), surface(300, 2), spacing=H)
-    assert features.shape == (7, len(FEATURES))
+    assert features.shape == (7, len(MEASURED))
     assert bool(torch.isfinite(features).all())
     one = measure(T[4:5], surface(300, 1), surface(300, 2), spacing=H)[0]
     torch.testing.assert_close(features[4], one, atol=1e-9, rtol=0)
@@ -148,7 +150,7 @@ def test_the_right_pose_fits_better_than_wrong_ones() -> None:
     target = surface(1200, 2, T=T_TRUE, eye=eyes[1], noise=0.005)
     wrong = T_TRUE @ perturbations(12, seed=7, angle_deg=60.0, length=0.1)
     rows = measure(torch.cat([T_TRUE[None], wrong]), source, target, spacing=H)
-    column = dict(zip(FEATURES, rows.T, strict=True))
+    column = dict(zip(MEASURED, rows.T, strict=True))
     for name in ("distance_half", "distance_two", "smooth_one", "normals", "split"):
         assert float(column[name][0]) < float(column[name][1:].min()), name
     for name in ("overlap", "overlap_tight"):
@@ -182,7 +184,7 @@ def test_poses_far_apart_are_finite_and_have_no_overlap() -> None:
     source, target = surface(200, 1, eye=(2, 1, 1)), surface(200, 2, eye=(2, 1, 1))
     row = measure(away, source, target, spacing=H)[0]
     assert bool(torch.isfinite(row).all())
-    assert float(row[FEATURES.index("overlap")]) == 0.0
+    assert float(row[MEASURED.index("overlap")]) == 0.0
 
 
 @pytest.mark.parametrize("count", [3, 5])
@@ -192,3 +194,19 @@ def test_a_handful_of_points(count: int) -> None:
     few = prepare_surface(level, spacing=H, viewpoint=None)
     assert bool(torch.isfinite(few.smooth).all())
     assert bool(torch.isfinite(measure(random_motions(2), few, few, spacing=H)).all())
+
+
+def test_agreement_of_descriptors_by_hand() -> None:
+    line = torch.linspace(-1, 1, 21).unsqueeze(1) * torch.tensor([1.0, 0.0, 0.0])
+    level = Level(line, torch.tensor([0.0, 0.0, 1.0]).expand(21, 3), torch.ones(21))
+    pair = LevelPair(level, level, 0.1)
+    grids = [NearestGrid(level.points, level.normals, cell=0.02, band=0.3) for _ in range(2)]
+    alike = torch.eye(21) * 0.9
+    poses = torch.eye(4).repeat(3, 1, 1)
+    poses[1, 0, 3] = 0.1  # one step along: each meets its neighbor
+    poses[2, 1, 3] = 5.0  # nothing meets
+    found = agreement(poses, pair, grids, alike)
+    torch.testing.assert_close(
+        found, torch.tensor([[0.9, 0.0], [0.0, 0.9], [0.0, 0.0]]), atol=0.05, rtol=0
+    )
+    assert bool(agreement(poses, pair, grids, None).isnan().all())

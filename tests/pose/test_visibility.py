@@ -29,28 +29,29 @@ def shares(image: DepthImage, *points: tuple[float, float, float]) -> list[float
 
 def test_between_the_eye_and_the_wall_is_a_violation_behind_it_is_not() -> None:
     image = DepthImage(wall(), EYE, spacing=SPACING)
-    assert shares(image, (0.0, 0.0, 0.5)) == [1.0, 0.0]
-    assert shares(image, (0.1, -0.2, 3.0)) == [1.0, 0.0]
-    assert shares(image, (0.0, 0.0, -0.5)) == [0.0, 0.0]
-    assert shares(image, (0.4, 0.4, -9.0)) == [0.0, 0.0]
+    assert shares(image, (0.0, 0.0, 0.5)) == [1.0, 0.0, 0.0]
+    assert shares(image, (0.1, -0.2, 3.0)) == [1.0, 0.0, 0.0]
+    assert shares(image, (0.0, 0.0, -0.5)) == [0.0, 0.0, 0.0]
+    assert shares(image, (0.4, 0.4, -9.0)) == [0.0, 0.0, 0.0]
 
 
 def test_on_the_wall_and_within_the_margin_is_none() -> None:
     image = DepthImage(wall(), EYE, spacing=SPACING)
-    assert shares(image, (0.0, 0.0, 0.0), (0.0, 0.5, SPACING)) == [0.0, 0.0]
+    assert shares(image, (0.0, 0.0, 0.0), (0.0, 0.5, SPACING)) == [0.0, 0.0, 0.0]
     assert float(image.violations(wall()[None]).max()) == 0.0
 
 
 def test_beside_the_wall_the_sensor_saw_nothing() -> None:
     image = DepthImage(wall(), EYE, spacing=SPACING)
-    assert shares(image, (1.3, 0.0, 0.0)) == [0.0, 1.0]
+    assert shares(image, (1.3, 0.0, 0.0)) == [0.0, 1.0, 0.0]
     # A little beside the rim may be chance.
-    assert shares(image, (1.0 + SPACING, 0.0, 0.0)) == [0.0, 0.0]
+    assert shares(image, (1.0 + SPACING, 0.0, 0.0)) == [0.0, 0.0, 0.0]
 
 
-def test_behind_the_eye_nothing_is_known() -> None:
+def test_behind_the_eye_and_far_beside_the_sensor_may_not_have_looked() -> None:
     image = DepthImage(wall(), EYE, spacing=SPACING)
-    assert shares(image, (0.0, 0.0, 5.0), (0.1, 0.0, 4.0)) == [0.0, 0.0]
+    assert shares(image, (0.0, 0.0, 5.0), (0.1, 0.0, 4.0)) == [0.0, 0.0, 1.0]
+    assert shares(image, (2.0, 0.0, 0.0), (0.0, 0.0, 0.0)) == [0.0, 0.0, 0.5]
 
 
 def test_shares_are_means_over_the_points_and_a_batch_equals_the_loop() -> None:
@@ -58,8 +59,9 @@ def test_shares_are_means_over_the_points_and_a_batch_equals_the_loop() -> None:
     points = torch.tensor([[0, 0, 1], [0, 0, -1], [1.3, 0, 0], [0, 0, 0]]).double()
     batch = torch.stack([points, points.flip(0), points + 100.0, points * 0])
     found = image.violations(batch)
-    assert found.shape == (4, 2)
-    torch.testing.assert_close(found[0], torch.tensor([0.25, 0.25]).double())
+    assert found.shape == (4, 3)
+    torch.testing.assert_close(found[0], torch.tensor([0.25, 0.25, 0.0]).double())
+    torch.testing.assert_close(found[2], torch.tensor([0.0, 0.0, 1.0]).double())
     for one, item in zip(found, batch, strict=True):
         torch.testing.assert_close(image.violations(item[None])[0], one)
 
@@ -90,15 +92,18 @@ def test_a_scan_contradicts_itself_nowhere(distance: float) -> None:
     eye = torch.tensor([0.0, distance, 0.0]).double()
     seen = ball[ball[:, 1] > 1 / distance]
     image = DepthImage(seen, eye, spacing=SPACING)
-    blocked, empty = image.violations(seen[None])[0].tolist()
+    blocked, empty, outside = image.violations(seen[None])[0].tolist()
     assert blocked < 0.02
     assert empty == 0.0
+    if distance >= 3.0:  # nearer, the ball is wider than the image
+        assert outside == 0.0
 
 
 def test_a_wide_scan_contradicts_itself_nowhere() -> None:
     # A wall so near that it is seen under more than a right angle.
     near = torch.tensor([0.0, 0.0, 0.4]).double()
-    blocked, empty = DepthImage(wall(), near, spacing=SPACING).violations(wall()[None])[0].tolist()
+    image = DepthImage(wall(), near, spacing=SPACING)
+    blocked, empty, _ = image.violations(wall()[None])[0].tolist()
     assert blocked < 0.02
     assert empty == 0.0
 
@@ -110,7 +115,8 @@ def test_a_scan_from_inside_contradicts_itself_nowhere() -> None:
     room[np.arange(3_000), axis] = rng.choice([-1.0, 1.0], 3_000)
     points = torch.from_numpy(room)
     eye = torch.tensor([0.1, 0.2, -0.1]).double()
-    blocked, empty = DepthImage(points, eye, spacing=SPACING).violations(points[None])[0].tolist()
+    image = DepthImage(points, eye, spacing=SPACING)
+    blocked, empty, _ = image.violations(points[None])[0].tolist()
     assert blocked < 0.02
     assert empty == 0.0
 

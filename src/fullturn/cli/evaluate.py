@@ -35,8 +35,12 @@ def evaluate(
             help="Pairs as they are: frozen .npz, published .h5, or a folder of range scans.",
         ),
     ] = None,
-    hide_viewpoints: Annotated[
-        bool, typer.Option("--hide-viewpoints", help="Don't tell methods where sensors stood.")
+    blind: Annotated[
+        bool,
+        typer.Option(
+            "--blind",
+            help="Don't tell methods where sensors stood, nor how far scans may be turned.",
+        ),
     ] = False,
     count: Annotated[int, typer.Option(min=1, help="Pairs of each protocol.")] = 300,
     seed: Annotated[int, typer.Option(min=0, help="Of the pairs and of the methods.")] = 0,
@@ -60,7 +64,7 @@ def evaluate(
         raise typer.BadParameter("expected --protocol with --shapes, or --pairs")
 
     from fullturn.cli.render import print_results
-    from fullturn.data.hidden import HiddenViewpoints
+    from fullturn.data.hidden import BlindPairs
     from fullturn.data.open import open_pairs, open_shapes, protocol_pairs
     from fullturn.data.pair_set import PairSet
     from fullturn.evaluation.folders import read_runs
@@ -75,8 +79,8 @@ def evaluate(
         for line in left_out:
             tell(f"left out: {line}")
     sets += [open_pairs(path) for path in pairs or ()]
-    if hide_viewpoints:
-        sets = [HiddenViewpoints(one) for one in sets]
+    if blind:
+        sets = [BlindPairs(one) for one in sets]
     total = len(method) * sum(len(one) for one in sets)
     with progress_bar("predicting", total) as advance:
         run(

@@ -45,6 +45,12 @@ def register(
     target_viewpoint: Annotated[
         str | None, typer.Option(metavar="X,Y,Z", help="Where the sensor stood, in TARGET's frame.")
     ] = None,
+    max_rotation: Annotated[
+        float | None,
+        typer.Option(
+            metavar="DEG", help="The largest rotation between the files that is possible, to 180."
+        ),
+    ] = None,
 ) -> None:
     """Find the pose of SOURCE in the frame of TARGET, and the probability that it is right.
 
@@ -56,6 +62,10 @@ def register(
     target_eye = _viewpoint(target_viewpoint, "--target-viewpoint")
     if math.isnan(min_probability or 0.0):
         raise typer.BadParameter("--min-probability: expected a number from 0 to 1, got nan")
+    if max_rotation is not None and not 0.0 < max_rotation <= 180.0:
+        raise typer.BadParameter(
+            f"--max-rotation: expected an angle above 0 and up to 180, got {max_rotation:g}"
+        )
 
     from fullturn.io.atomic import check_output
     from fullturn.io.save import CLOUD_SUFFIXES, save_cloud
@@ -81,6 +91,7 @@ def register(
         seed=seed,
         source_viewpoint=source_eye,
         target_viewpoint=target_eye,
+        max_rotation_deg=max_rotation,
     )
     T = result.T_target_source
     if out is not None:

@@ -28,6 +28,9 @@ _ARRAYS = (
     "T_target_source", "name", "group", "related",
 )  # fmt: skip
 
+# Only in files of pairs of which the largest rotation is known.
+_LIMIT = "max_rotation_deg"
+
 _MANIFEST = {"format", "name", "description", "seed", "count", "commit", "fullturn", "sha256"}
 
 
@@ -35,9 +38,9 @@ def freeze(pairs: PairSet, path: str | os.PathLike[str]) -> dict[str, Any]:
     """Write all pairs of a set to one `.npz` file, and return its manifest.
 
     The clouds of all pairs stand one after the other as float64, exactly as made, pair i from
-    offset i to offset i + 1; a viewpoint that isn't known is NaN. The manifest is a JSON text:
-    format, name and description of the set, seed, count, commit, version, and a SHA-256 over the
-    arrays. The same pairs give the same bytes; there are no pickles.
+    offset i to offset i + 1; a viewpoint or a largest rotation that isn't known is NaN. The
+    manifest is a JSON text: format, name and description of the set, seed, count, commit, version,
+    and a SHA-256 over the arrays. The same pairs give the same bytes; there are no pickles.
 
     Raises:
         WriteError: no place for it, or a name that doesn't end in .npz.
@@ -54,6 +57,9 @@ def freeze(pairs: PairSet, path: str | os.PathLike[str]) -> dict[str, Any]:
         "group": np.array([pairs.group(index) for index in range(len(made))]),
         "related": np.array([pair.related for pair in made]),
     }
+    limits = [pair.max_rotation_deg for pair in made]
+    if any(limit is not None for limit in limits):
+        arrays[_LIMIT] = np.array(limits, dtype="<f8")  # None becomes NaN
     manifest = {
         "format": FORMAT,
         "name": pairs.name,
@@ -79,7 +85,7 @@ class FrozenPairs(PairSet):
         self._path = Path(path)
         content = open_npz(self._path, ("manifest", *_ARRAYS))
         self.manifest = _read_manifest(str(content["manifest"]), self._path)
-        self._arrays = {key: content[key] for key in _ARRAYS}
+        self._arrays = {key: content[key] for key in (*_ARRAYS, _LIMIT) if key in content}
         found = _sha256(self._arrays)
         if found != self.manifest["sha256"]:
             raise ReadError(
@@ -110,6 +116,7 @@ class FrozenPairs(PairSet):
             source_viewpoint=self._viewpoint("source", index),
             target_viewpoint=self._viewpoint("target", index),
             related=bool(arrays["related"][index]),
+            max_rotation_deg=self._limit(index),
         )
 
     def group(self, index: int) -> str:
@@ -124,6 +131,10 @@ class FrozenPairs(PairSet):
     def _viewpoint(self, side: str, index: int) -> np.ndarray | None:
         place: np.ndarray = self._arrays[f"{side}_viewpoint"][index].copy()
         return None if np.isnan(place).all() else place
+
+    def _limit(self, index: int) -> float | None:
+        limit_deg = float(self._arrays[_LIMIT][index]) if _LIMIT in self._arrays else np.nan
+        return None if np.isnan(limit_deg) else limit_deg
 
 
 def _stacked(side: str, clouds: list[np.ndarray]) -> dict[str, np.ndarray]:

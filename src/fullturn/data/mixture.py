@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from functools import cached_property
+from contextlib import suppress
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -176,16 +177,22 @@ def _scans(source: MeshSource, index: int, rng: np.random.Generator, points: int
     """Two views by one sensor, from about one distance."""
     nearest, farthest = _DISTANCES
     distance = rng.uniform(nearest, farthest)
-    return scan_pair(
-        to_unit_ball(source.raw_mesh(index)),
+    mesh, overlap = to_unit_ball(source.raw_mesh(index)), rng.uniform(0.1, 0.7)
+    sensor = random_sensor(rng, distance=distance)
+    scan = partial(
+        scan_pair,
+        mesh,
         rng,
         points=points,
-        min_overlap=rng.uniform(0.1, 0.7),
         distance=(max(distance / _NEARER, nearest), min(distance * _NEARER, farthest)),
-        sensor=random_sensor(rng, distance=distance),
+        sensor=sensor,
         thinning="farthest" if rng.random() < 0.5 else "random",
         name=source.name(index),
     )
+    # Lattices and wires seldom overlap much; any two views of them will do.
+    with suppress(InputError):
+        return scan(min_overlap=overlap)
+    return scan(min_overlap=0.0)
 
 
 def _scan_points(rng: np.random.Generator) -> int:

@@ -21,3 +21,5 @@ class Pair:
     related: bool = (
         True  # False: two different objects, no pose is right, the truth is the identity
     )
+    # The largest rotation that is possible, as far as it is known to whoever registers the pair.
+    max_rotation_deg: float | None = None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal
@@ -30,6 +31,7 @@ from fullturn.data.shapes import MeshSource, ShapeSource
 from fullturn.data.view_pool import ViewPool
 from fullturn.errors import InputError
 
+_ROUNDING_DEG = 1e-6
 _LATTICES = 4  # of cameras around a shape, each turned anew, before it counts as unfit
 
 
@@ -57,6 +59,26 @@ class Protocol:
         """How many points of a shape a pair takes, where shapes are stored samples."""
         twice = self.resampled and self.crop == "far_viewpoint"
         return self.sample_points * (2 if twice else 1)
+
+    @property
+    def rotation_limit_deg(self) -> float | None:
+        """The largest angle of the relative rotation, None where all rotations are possible.
+
+        Rx(α)·Ry(β)·Rz(γ) has the quaternion cos½α·cos½β·cos½γ − sin½α·sin½β·sin½γ, … The cosine of
+        half its angle falls with each Euler angle from 0° up, so that the angle is largest where
+        all three are: at 2·acos(cos³½m − sin³½m), which reaches 180° at m = 90°.
+
+        >>> PROTOCOLS["modelnet40/noisy/45"].rotation_limit_deg
+        45.0
+        >>> round(PROTOCOLS["rpmnet/45"].rotation_limit_deg, 2)
+        85.8
+        """
+        limit_deg = float(self.max_angle_deg)
+        if self.crop == "plane":
+            half_rad = math.radians(min(limit_deg, 90.0) / 2.0)
+            cosine = math.cos(half_rad) ** 3 - math.sin(half_rad) ** 3
+            limit_deg = 2.0 * math.degrees(math.acos(cosine))
+        return limit_deg if limit_deg < 180.0 - _ROUNDING_DEG else None
 
     def allows(self, category: str) -> bool:
         """Whether the protocol tests on this category; unknown categories count as unseen."""
@@ -111,12 +133,14 @@ class ProtocolPairs(PairSet):
 
     @cached_property
     def description(self) -> dict[str, Any]:
+        limit_deg = self.protocol.rotation_limit_deg
         return {
             "kind": "protocol",
             "protocol": dataclasses.asdict(self.protocol),
             "seed": self._seed,
             "count": self._count,
             "shapes": self.shapes.description,
+            **({} if limit_deg is None else {"told_rotation_deg": limit_deg}),
         }
 
     def __len__(self) -> int:
@@ -149,7 +173,13 @@ def make_pair(
     if protocol.noise_sigma > 0.0:
         source = jitter(source, rng, sigma=protocol.noise_sigma, clip=protocol.noise_clip)
         target = jitter(target, rng, sigma=protocol.noise_sigma, clip=protocol.noise_clip)
-    return Pair(source, target, T_target_source, shapes.name(index))
+    return Pair(
+        source,
+        target,
+        T_target_source,
+        shapes.name(index),
+        max_rotation_deg=protocol.rotation_limit_deg,
+    )
 
 
 _Clouds = tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "m 3"], Float[np.ndarray, "4 4"]]
@@ -237,6 +267,7 @@ def _views_pair(
         shapes.name(index),
         source_viewpoint=move(T_source_object, first.camera.center[None])[0],
         target_viewpoint=move(T_target_object, second.camera.center[None])[0],
+        max_rotation_deg=protocol.rotation_limit_deg,
     )
 
 

@@ -7,6 +7,7 @@ import hashlib
 import importlib.util
 import sys
 from collections.abc import Iterator
+from dataclasses import asdict
 from functools import cache
 from importlib import metadata
 from pathlib import Path
@@ -22,8 +23,8 @@ def fingerprint(method: type[Method]) -> tuple[str, dict[str, str]]:
     """A hash of a method's code and versions, and the versions of the packages that it uses.
 
     The code is the module of the class and, from there on, every module of the same package and of
-    fullturn that is imported, with fullturn's weights. What a package loads in other ways isn't
-    seen.
+    fullturn that is imported, but for type checking, with those of fullturn's weights that one of
+    them names. What a package loads in other ways isn't seen.
     """
     files, packages = _closure(method)
     files |= set(method.files)
@@ -39,7 +40,8 @@ def _closure(method: type[Method]) -> tuple[set[Path], set[str]]:
     """The files that a method's module leads to, and the other packages that they import."""
     module = sys.modules[method.__module__]
     roots = {_PACKAGE, method.__module__.partition(".")[0]}
-    files = set(Path(fullturn.__file__).parent.glob("weights/*.safetensors"))
+    weights = set(Path(fullturn.__file__).parent.glob("weights/*.safetensors"))
+    files: set[Path] = set()
     packages: set[str] = set()
     waiting = [Path(str(module.__file__)), *_module_file(f"{_PACKAGE}.normalize")]
     while waiting:
@@ -47,7 +49,9 @@ def _closure(method: type[Method]) -> tuple[set[Path], set[str]]:
         if path in files:
             continue
         files.add(path)
-        for name in _imports(ast.parse(path.read_bytes())):
+        source = path.read_text(encoding="utf-8")
+        files |= {one for one in weights if one.name in source}
+        for name in _imports(ast.parse(source)):
             top = name.partition(".")[0]
             if top in roots:
                 waiting += _module_file(name)
@@ -58,12 +62,15 @@ def _closure(method: type[Method]) -> tuple[set[Path], set[str]]:
 
 def _imports(tree: ast.AST) -> Iterator[str]:
     """Every name that may be a module: ``from a import b`` gives a and a.b."""
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
-            yield node.module
-            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+    if isinstance(tree, ast.If) and getattr(tree.test, "id", None) == "TYPE_CHECKING":
+        return
+    if isinstance(tree, ast.Import):
+        yield from (alias.name for alias in tree.names)
+    elif isinstance(tree, ast.ImportFrom) and tree.module and not tree.level:
+        yield tree.module
+        yield from (f"{tree.module}.{alias.name}" for alias in tree.names)
+    for node in ast.iter_child_nodes(tree):
+        yield from _imports(node)
 
 
 def _module_file(name: str) -> list[Path]:
@@ -103,5 +110,6 @@ def describe(method: type[Method], versions: dict[str, str]) -> dict[str, Any]:
         "summary": method.summary,
         "reference": method.reference,
         "settings": dict(method.settings()),
+        "traits": asdict(method.traits),
         "versions": versions,
     }

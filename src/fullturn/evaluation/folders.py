@@ -15,6 +15,8 @@ from jaxtyping import Bool, Float
 from fullturn.errors import InputError, ReadError, one_line
 from fullturn.evaluation.run import FORMAT, slug
 
+_TOLD = "told_rotation_deg"  # in the description of a set
+
 
 @dataclass(frozen=True)
 class MethodResult:
@@ -24,6 +26,7 @@ class MethodResult:
     seed: int
     folder: Path
     cpu_seconds: float | None = None  # median; None: not timed
+    told_rotation_deg: float | None = None  # None: it wasn't told how far clouds can be turned
 
 
 @dataclass(frozen=True)
@@ -69,7 +72,8 @@ def read_runs(folders: Sequence[Path]) -> list[SetResult]:
                         f"{known.methods[method].folder} and {folder}; leave one of them out"
                     )
                 cpu = seconds.get(method, {}).get("cpu_seconds_median")
-                known.methods[method] = MethodResult(summary, content["seed"], folder, cpu)
+                told = _told_rotation_deg(content, part, method)
+                known.methods[method] = MethodResult(summary, content["seed"], folder, cpu, told)
             for group, methods in part.get("groups", {}).items():
                 for method, summary in methods.items():
                     times = seconds.get(method, {}).get("groups", {}).get(group, {})
@@ -138,6 +142,17 @@ def _read_run(folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     return content, timing
 
 
+def _told_rotation_deg(
+    content: Mapping[str, Any], part: Mapping[str, Any], method: str
+) -> float | None:
+    """The largest rotation of a set's pairs, if the method was one that takes it."""
+    limit_deg = part["description"].get(_TOLD)
+    described: Any = content.get("methods")
+    for key in (method, "traits", "limits_rotation"):
+        described = described.get(key) if isinstance(described, dict) else None
+    return float(limit_deg) if described is True and isinstance(limit_deg, (int, float)) else None
+
+
 def _is_nested(timing: Any) -> bool:
     return isinstance(timing, dict) and all(
         isinstance(part, dict) and all(isinstance(times, dict) for times in part.values())
@@ -184,11 +199,11 @@ def _read_json(path: Path) -> dict[str, Any]:
 
 
 def _check_same_pairs(known: SetResult, part: Mapping[str, Any], folder: Path) -> None:
-    """Methods stand beside one another only on the same pairs."""
+    """Methods stand beside one another only on the same pairs, whatever they were told of them."""
     first = {**known.description, "count of pairs": known.count}
     other = {**part["description"], "count of pairs": part["count"]}
     differing = sorted(
-        key for key in first.keys() | other.keys() if first.get(key) != other.get(key)
+        key for key in (first.keys() | other.keys()) - {_TOLD} if first.get(key) != other.get(key)
     )
     if differing:
         raise InputError(

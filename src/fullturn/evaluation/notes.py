@@ -29,6 +29,23 @@ def shapes(sets: Sequence[SetResult]) -> str:
     return f"Shapes: {here}." if here else ""
 
 
+def told(sets: Sequence[SetResult]) -> str:
+    """Which methods were told how far the clouds can be turned, and how far that is."""
+    known: dict[tuple[float, str], list[str]] = {}
+    for result in sets:
+        for method, one in result.methods.items():
+            if one.told_rotation_deg is not None:
+                known.setdefault((one.told_rotation_deg, result.name), []).append(method)
+    where: dict[tuple[float, tuple[str, ...]], list[str]] = {}
+    for (limit_deg, name), methods in known.items():
+        where.setdefault((limit_deg, tuple(methods)), []).append(name)
+    return " ".join(
+        f"{' and '.join(methods)} {'was' if len(methods) == 1 else 'were'} told that rotations "
+        f"are at most {limit_deg:.3g}° in {', '.join(names)}."
+        for (limit_deg, methods), names in where.items()
+    )
+
+
 def unrelated(sets: Sequence[SetResult]) -> str:
     """That probabilities are judged on more pairs than errors are, where that is so."""
     if not any(one.summary.get("unrelated") for r in sets for one in r.methods.values()):

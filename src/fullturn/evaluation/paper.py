@@ -14,6 +14,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import resources
 
+from fullturn.data.hidden import BLIND
+
 # The paper's columns → the keys of our summaries.
 OURS = {
     "rotation_error_deg": "mean_deg",
@@ -121,10 +123,20 @@ def paper() -> Paper:
 def protocol_of(name: str) -> str:
     """The paper's setting that a set of pairs is like.
 
-    >>> protocol_of("mvp-rg/built"), protocol_of("modelnet40/clean/45")
+    >>> protocol_of("mvp-rg/built/blind"), protocol_of("modelnet40/clean/45/blind")
     ('mvp-rg', 'modelnet40/clean/45')
     """
+    name = same_pairs(name)
     return "mvp-rg" if name.startswith("mvp-rg/") else name
+
+
+def same_pairs(name: str) -> str:
+    """What a set of these pairs is called where all that is known of them is told.
+
+    >>> same_pairs("mvp-rg/built/blind"), same_pairs("modelnet40/clean/45")
+    ('mvp-rg/built', 'modelnet40/clean/45')
+    """
+    return name.removesuffix(BLIND)
 
 
 def published_rows(protocol: str) -> list[Row]:

@@ -34,7 +34,8 @@ def paper_layout(sets: Sequence[SetResult]) -> list[Table]:
         header: list[tuple[str, ...]] = [("", "", "method")]
         header += [(*_setting(p), _SYMBOLS[m]) for p in protocols for m in paper.OURS]
         remarks = [f"Rows of the paper: {paper.paper().citation}.", notes.marks()]
-        remarks += [notes.metrics_note(), notes.seeds(run), notes.shapes_note(run)]
+        remarks += [notes.metrics_note(), notes.seeds(run), notes.told(run)]
+        remarks.append(notes.shapes_note(run))
         tables.append(
             Table(
                 f"paper-{published.name}",

@@ -5,14 +5,14 @@ from __future__ import annotations
 import hashlib
 import time
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from fullturn.data.pair import Pair
 from fullturn.errors import one_line
-from fullturn.methods.check import checked_estimate
+from fullturn.methods.base import Method
+from fullturn.methods.check import run_method
 from fullturn.methods.registry import get
 from fullturn.normalize import normalized_clouds
 from fullturn.threads import torch_threads
@@ -39,7 +39,7 @@ class Predictor:
     """
 
     seed: int = 0
-    _methods: dict[str, Any] = field(default_factory=dict, init=False)
+    _methods: dict[str, Method] = field(default_factory=dict, init=False)
 
     def __call__(self, task: tuple[str, Pair]) -> Prediction:
         method, pair = task
@@ -50,18 +50,23 @@ class Predictor:
 
 
 @torch_threads(1)
-def predict(method: Any, pair: Pair, *, seed: int) -> Prediction:
+def predict(method: Method, pair: Pair, *, seed: int) -> Prediction:
     """The pose that ``fullturn.register`` returns for this pair, without its explanation.
 
-    Whatever the method raises is a failure of this pair, as is an answer that is none.
+    A method that takes the largest rotation is told it, where the pair knows one. Whatever the
+    method raises is a failure of this pair, as is an answer that is none.
     """
     source, target, frame = normalized_clouds(
         pair.source, pair.target, pair.source_viewpoint, pair.target_viewpoint
     )
     cpu, wall = time.process_time(), time.perf_counter()
     try:
-        estimate = checked_estimate(
-            method.estimate(source, target, rng=np.random.default_rng(seed)), method.name
+        estimate = run_method(
+            method,
+            source,
+            target,
+            rng=np.random.default_rng(seed),
+            max_rotation_deg=pair.max_rotation_deg,
         )
         failure = None
     # A method is a guest: nothing that it raises may stop the others.
@@ -77,13 +82,15 @@ def predict(method: Any, pair: Pair, *, seed: int) -> Prediction:
 
 
 def pair_hash(pair: Pair) -> str:
-    """A hash of all that a method sees of a pair: its clouds, and where their sensors stood."""
+    """A hash of all that a method sees of a pair: its clouds, and what is known of the pose."""
     digest = hashlib.sha256()
+    limit_deg = pair.max_rotation_deg
     seen = {
         "source": pair.source,
         "target": pair.target,
         "source viewpoint": pair.source_viewpoint,
         "target viewpoint": pair.target_viewpoint,
+        "max rotation": None if limit_deg is None else np.array(limit_deg),
     }
     for name, points in seen.items():
         if points is None:

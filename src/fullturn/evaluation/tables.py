@@ -96,10 +96,9 @@ def main_table(
             cells = [_published(figures, column) for column in _MAIN_COLUMNS]
             rows.append(("", paper.LABEL, NONE, *cells, NONE))
     header = ("pairs", "method", "n", *_MAIN_COLUMNS, "CPU s")
-    remarks = tuple(
-        filter(None, (notes.seeds(sets), notes.unrelated(sets), notes.shapes_note(sets)))
-    )
-    return Table("main", title, _plain(header), tuple(rows), remarks, 2, frozenset(rules))
+    remarks = [notes.seeds(sets), notes.told(sets), notes.unrelated(sets), notes.shapes_note(sets)]
+    remarks = [remark for remark in remarks if remark]
+    return Table("main", title, _plain(header), tuple(rows), tuple(remarks), 2, frozenset(rules))
 
 
 def family(name: str) -> str:
@@ -117,20 +116,21 @@ def family(name: str) -> str:
 def _family_table(name: str, sets: Sequence[SetResult]) -> Table:
     published = any(paper.published_rows(paper.protocol_of(result.name)) for result in sets)
     # Where the shapes are others, the published rows stand beside ours, and nothing is subtracted.
-    compared = any(paper.published_rows(result.name) for result in sets)
+    compared = any(paper.published_rows(paper.same_pairs(result.name)) for result in sets)
     differences = tuple(_DIFFERENCES) if compared else ()
     header = ("pairs", "method", "n", *_COLUMNS, "failures", "CPU s", *differences)
     rows: list[tuple[str, ...]] = []
     rules = set()
     last = {paper.protocol_of(result.name): result for result in sets}
     for result in sets:
-        best = paper.best_row(result.name)
+        compared_with = paper.same_pairs(result.name)
+        best = paper.best_row(compared_with)
         for block, found in _blocks(result, {}):
             rules.add(len(rows))
             for method, one in found.items():
                 cells = [_cell(one, column, interval=True) for column in _COLUMNS]
                 rest = [str(one.summary.get("errors", NONE)), _seconds(one)]
-                rest += [_difference(one, best, result.name, key) for key in differences]
+                rest += [_difference(one, best, compared_with, key) for key in differences]
                 rows.append((block, method, str(one.summary["n"]), *cells, *rest))
                 block = ""
         protocol = paper.protocol_of(result.name)
@@ -142,7 +142,8 @@ def _family_table(name: str, sets: Sequence[SetResult]) -> Table:
             rows.append(("", f"paper: {row.label}{mark}", NONE, *cells, *rest))
     head = name.removesuffix("-resampled")
     title, about = _FAMILIES.get(name, (name if head == name else f"{head}, resampled", ""))
-    remarks = [about, notes.seeds(sets), notes.shapes(sets), EXPLANATION, notes.unrelated(sets)]
+    remarks = [about, notes.seeds(sets), notes.shapes(sets), notes.told(sets), EXPLANATION]
+    remarks.append(notes.unrelated(sets))
     if published:
         delta = " Δ: ours − GMCNet's best row in the paper's comparison of methods."
         remarks += [

@@ -20,10 +20,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Traits:
-    """What a method can't do. The contract test expects the matching clause to fail."""
+    """What a method can't do, and what it takes besides two clouds.
+
+    Where it can't do something, the contract test expects the matching clause to fail.
+    """
 
     local: bool = False  # needs the two clouds roughly aligned: fails equivariance (clause 3)
     whole: bool = False  # needs the same part of the object in both: fails on partial ones (0)
+    # Takes max_rotation_rad: the largest rotation of the source that is possible.
+    limits_rotation: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +41,7 @@ class Estimate:
     success_probability: Float[Tensor, " k"] | None = None
     symmetry: CloudSymmetry | None = None
     seconds: Mapping[str, float] = field(default_factory=dict)  # wall-clock, per stage
+    notes: tuple[str, ...] = ()  # what a user should know of how the poses were found
 
 
 class Method(ABC):
@@ -59,4 +65,9 @@ class Method(ABC):
 
     @abstractmethod
     def estimate(self, source: Cloud, target: Cloud, *, rng: np.random.Generator) -> Estimate:
-        """Find poses of `source` in the frame of `target`; inputs are never modified."""
+        """Find poses of `source` in the frame of `target`; inputs are never modified.
+
+        With the trait `limits_rotation`, a method also takes the keyword
+        ``max_rotation_rad: float | None = None`` and answers with no pose that turns by more, but
+        for what refinement adds: 5° at most.
+        """

@@ -1,17 +1,64 @@
-"""Whether a method's answer is one: anybody may write a method."""
+"""Asking a method, and whether its answer is one: anybody may write a method."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
+from numbers import Real
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from fullturn.errors import InputError
-from fullturn.methods.base import Estimate
+from fullturn.geometry.cloud import Cloud
+from fullturn.methods.base import Estimate, Method
+from fullturn.methods.registry import get, names
 
 _RIGID = 1e-6  # how far RᵀR may be from I, per entry
+
+
+def run_method(
+    method: Method,
+    source: Cloud,
+    target: Cloud,
+    *,
+    rng: np.random.Generator,
+    max_rotation_deg: float | None = None,
+) -> Estimate:
+    """What a method answers, checked; it is told the largest rotation where it takes one.
+
+    Raises:
+        InputError: the method returned something else than an estimate.
+    """
+    told: dict[str, Any] = {}
+    if method.traits.limits_rotation and max_rotation_deg is not None:
+        told["max_rotation_rad"] = math.radians(max_rotation_deg)
+    return checked_estimate(method.estimate(source, target, rng=rng, **told), method.name)
+
+
+def check_max_rotation(max_rotation_deg: Any, method: type[Method]) -> float | None:
+    """The largest possible rotation in degrees, None where none is known.
+
+    Raises:
+        InputError: not a number above 0 and up to 180, or the method doesn't take one.
+    """
+    if max_rotation_deg is None:
+        return None
+    is_number = isinstance(max_rotation_deg, Real) and not isinstance(max_rotation_deg, bool)
+    if not is_number or not 0.0 < max_rotation_deg <= 180.0:
+        raise InputError(
+            "max_rotation_deg: expected an angle above 0 and up to 180, or None, got "
+            f"{max_rotation_deg!r:.80}"
+        )
+    if not method.traits.limits_rotation:
+        takers = ", ".join(name for name in names() if get(name).traits.limits_rotation)
+        raise InputError(
+            f"max_rotation_deg: expected a method that takes one ({takers}), got {method.name}; "
+            "choose one of these, or leave the limit out"
+        )
+    return float(max_rotation_deg)
 
 
 def checked_estimate(estimate: Any, name: str) -> Estimate:

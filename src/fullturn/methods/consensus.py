@@ -12,10 +12,10 @@ from jaxtyping import Float
 from torch import Tensor
 
 from fullturn.geometry.cloud import Cloud
-from fullturn.methods.base import Estimate, Method
+from fullturn.methods.base import Estimate, Method, Traits
 from fullturn.pose.fine import refine_fine
 from fullturn.pose.levels import LevelPair
-from fullturn.pose.search import SearchConfig, find_finalists, surface_similarity
+from fullturn.pose.search import SearchConfig, find_finalists
 from fullturn.pose.symmetry import symmetry_of_poses
 from fullturn.pose.verdict import judge
 
@@ -42,15 +42,32 @@ class Consensus(Method):
     name = "consensus"
     summary = "matches, thousands of hypotheses, verification with calibrated probabilities"
     reference = "fullturn; second-order seeds after Chen et al., SC²-PCR, CVPR 2022"
+    traits = Traits(limits_rotation=True)
     config: ClassVar[ConsensusConfig] = ConsensusConfig()
 
-    def similarity(self, pair: LevelPair) -> Float[Tensor, "n m"]:
-        """How alike the points of both clouds are, by which matches are found."""
-        return surface_similarity(pair)
+    def similarity(self, pair: LevelPair) -> Float[Tensor, "n m"] | None:
+        """How alike the points of both clouds are, by which matches are found.
 
-    def estimate(self, source: Cloud, target: Cloud, *, rng: np.random.Generator) -> Estimate:
+        None: by the descriptor that the configuration names.
+        """
+        return None
+
+    def estimate(
+        self,
+        source: Cloud,
+        target: Cloud,
+        *,
+        rng: np.random.Generator,
+        max_rotation_rad: float | None = None,
+    ) -> Estimate:
         config = self.config
-        found = find_finalists(source, target, config=config.search, similarity=self.similarity)
+        found = find_finalists(
+            source,
+            target,
+            config=config.search,
+            similarity=self.similarity,
+            max_rotation_rad=max_rotation_rad,
+        )
         begin = time.perf_counter()
         judged = judge(found.T_target_source, found.features)
         kept = [
@@ -68,4 +85,12 @@ class Consensus(Method):
         symmetry = symmetry_of_poses(T[0], rivals)
         end = time.perf_counter()
         seconds = {**found.seconds, "verdict": judged_at - begin, "fine": end - judged_at}
-        return Estimate(T, probability, symmetry, seconds)
+        return Estimate(T, probability, symmetry, seconds, found.notes)
+
+
+class ConsensusHistogram(Consensus):
+    """The default method without its network: what it was before, and what it falls back on."""
+
+    name = "consensus-histogram"
+    summary = "the default method with handcrafted descriptors in place of the network"
+    config = ConsensusConfig(search=SearchConfig(descriptor="histogram"))

@@ -16,6 +16,7 @@ DEFAULT = "consensus"
 
 _HOMES = {
     "consensus": ("fullturn.methods.consensus", "Consensus"),
+    "consensus-histogram": ("fullturn.methods.consensus", "ConsensusHistogram"),
     "icp-point": ("fullturn.methods.classical.icp", "IcpPoint"),
     "icp-plane": ("fullturn.methods.classical.icp", "IcpPlane"),
     "gicp": ("fullturn.methods.external.gicp", "Gicp"),

@@ -17,6 +17,10 @@ from fullturn.pose.residuals import gauss_newton_step, normal_equations
 # at which they fully are: two samplings of a surface lie below, one and the same above.
 _MUTUAL_INDEPENDENT, _MUTUAL_SAME = 0.54, 0.66
 _LEAST_POINT_SHARE = 0.01
+# Rounds begin with about so many points of each cloud, as long as steps are longer than this share
+# of the noise; the pose has settled when they are shorter than the second.
+_FIRST_POINTS = 600
+_NEAR, _SETTLED = 0.1, 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +31,8 @@ class Residuals:
     g: Float[Tensor, "6"]
     sigma_normal: float  # off the surface, robust
     sigma_tangent: float  # along the surface, per axis, robust
-    point_share: float  # how much a partner is trusted to be the same physical point
+    trust: float  # that a partner is the same physical point, 0 to 1
+    point_share: float  # of the weight along the surface in that across it
     reach: float  # three deviations: how far apart partners may lie
 
 
@@ -48,41 +53,54 @@ def refine_fine(
     """
     T = T_target_source
     cutoff = start
+    every = max(1, min(len(source.sample), len(target.sample)) // _FIRST_POINTS)
     for _ in range(rounds):
-        residuals = measure_residuals(T, source, target, cutoff=cutoff)
+        residuals = measure_residuals(T, source, target, cutoff=cutoff, every=every)
         step = gauss_newton_step(residuals.H, residuals.g, damping=1e-6, largest=0.2)
         T = T @ rigid.exp_se3(step)
         moved = float(step.abs().max())
-        if moved < 0.01 * residuals.sigma_normal and residuals.reach > 0.9 * cutoff:
-            break
+        enough = _SETTLED if every == 1 else _NEAR
+        if moved < enough * residuals.sigma_normal and residuals.reach > 0.9 * cutoff:
+            if every == 1:
+                break
+            every = 1
         cutoff = min(cutoff, max(residuals.reach, 4.0 * moved))
     return rigid.make(nearest_rotation(T[:3, :3]), T[:3, 3])
 
 
 def measure_residuals(
-    T_target_source: Float[Tensor, "4 4"], source: Cloud, target: Cloud, *, cutoff: float
+    T_target_source: Float[Tensor, "4 4"],
+    source: Cloud,
+    target: Cloud,
+    *,
+    cutoff: float,
+    every: int = 1,
 ) -> Residuals:
-    """Pair the samples' points up with all of the other cloud's, and weigh them by their noise."""
+    """Pair the samples' points up with all of the other cloud's, and weigh them by their noise.
+
+    Of the samples, one in `every` points is taken.
+    """
     T_source_target = rigid.invert(T_target_source)
-    moved = rigid.apply(T_target_source, source.sample)
+    own, others = source.sample[::every], target.sample[::every]
+    moved = rigid.apply(T_target_source, own)
     partner, distance = target.index.nearest(moved, within=cutoff)
     y = rigid.apply(T_source_target, target.points[partner])
     forward = distance < cutoff
     mutual = torch.zeros_like(forward)
     if forward.any():
         back, _ = source.index.nearest(y[forward])
-        mutual[forward] = (source.points[back] == source.sample[forward]).all(-1)
-    pulled = rigid.apply(T_source_target, target.sample)
+        mutual[forward] = (source.points[back] == own[forward]).all(-1)
+    pulled = rigid.apply(T_source_target, others)
     partner, distance = source.index.nearest(pulled, within=cutoff)
     x = source.points[partner]
     backward = distance < cutoff
-    at = torch.cat([source.sample[forward], x[backward]])
+    at = torch.cat([own[forward], x[backward]])
     if len(at) < 6:
         zero = at.new_zeros(6)
-        return Residuals(torch.diag(zero), zero, cutoff, cutoff, 1.0, cutoff)
-    difference = torch.cat([source.sample[forward] - y[forward], x[backward] - pulled[backward]])
-    target_normals = target.sample_normals @ T_target_source[:3, :3]
-    normal = torch.cat([source.sample_normals[forward], target_normals[backward]])
+        return Residuals(torch.diag(zero), zero, cutoff, cutoff, 0.0, 1.0, cutoff)
+    difference = torch.cat([own[forward] - y[forward], x[backward] - pulled[backward]])
+    target_normals = target.sample_normals[::every] @ T_target_source[:3, :3]
+    normal = torch.cat([source.sample_normals[::every][forward], target_normals[backward]])
 
     height = (difference * normal).sum(-1)
     along = (difference - height[:, None] * normal).norm(dim=-1)
@@ -92,11 +110,12 @@ def measure_residuals(
     sigma_tangent = float(along.median()) / 1.1774 + tiny
     share = float(mutual[forward].double().mean()) if forward.any() else 0.0
     trust = (share - _MUTUAL_INDEPENDENT) / (_MUTUAL_SAME - _MUTUAL_INDEPENDENT)
+    trust = min(1.0, max(0.0, trust))
     ratio = min(1.0, (sigma_normal / sigma_tangent) ** 2)
-    point_share = max(_LEAST_POINT_SHARE * ratio, min(1.0, max(0.0, trust)) * ratio)
+    point_share = max(_LEAST_POINT_SHARE, trust) * ratio
     reach = min(cutoff, 3.0 * (sigma_normal**2 + 2.0 * sigma_tangent**2) ** 0.5)
     # Tukey on the two variances; a pair three deviations off across the surface counts nothing.
     unlikely = (height / (4.0 * sigma_normal)).square() + (along / reach).square()
     weight = (1.0 - unlikely).clamp_min(0).square() / sigma_normal**2
     H, g = normal_equations(at, difference, normal, weight, point_share=point_share)
-    return Residuals(H, g, sigma_normal, sigma_tangent, point_share, reach)
+    return Residuals(H, g, sigma_normal, sigma_tangent, trust, point_share, reach)

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from fullturn.features.surface import surface_histogram
 from fullturn.geometry import rigid
 from fullturn.geometry.cloud import Cloud
 from fullturn.matching.correspondence import candidate_matches
@@ -18,7 +19,11 @@ from fullturn.pose.grid import NearestGrid
 from fullturn.pose.kabsch import nearest_rotation
 from fullturn.pose.levels import LevelPair, level_pair, thin_pair
 from fullturn.pose.refine import refine_poses
-from fullturn.pose.verify import measure, prepare_surface
+from fullturn.pose.similarity import Similarity, histogram_similarity, network_similarity
+from fullturn.pose.verify import agreement, measure, prepare_surface
+
+# Hypotheses may lie this far beyond the largest possible rotation: refinement brings them back.
+_LIMIT_SLACK_RAD = math.radians(15.0)
 
 
 @dataclass(frozen=True)
@@ -33,6 +38,12 @@ class SearchConfig:
     modes: int = 96  # distinct poses refined on the coarse level
     mode_radius: float = 2.0  # RMS displacement that makes two poses distinct
     finalists: int = 32  # distinct poses measured for the verdict
+    # Share of the best pose's score below which a pose is dropped: after the first refinement, and
+    # before the verdict. On pairs of every kind, no winner of the verdict lay below either.
+    mode_share: float = 0.5
+    finalist_share: float = 0.6
+    # What finds matches: the descriptor network, or handcrafted histograms.
+    descriptor: Literal["network", "histogram"] = "network"
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,19 +54,7 @@ class Finalists:
     features: Float[Tensor, "k f"]  # columns: `verify.FEATURES`
     spacing: float  # of the level that they were measured at
     seconds: dict[str, float]
-
-
-# How alike the points of the two sides of a level are: (n, m), greater is more alike.
-Similarity = Callable[[LevelPair], Tensor]
-
-
-def surface_similarity(pair: LevelPair, *, radius: float = 12.0) -> Float[Tensor, "n m"]:
-    """Inner products of surface histograms out to `radius` point spacings."""
-    source, target = (
-        surface_histogram(level.points, level.normals, level.area, radius=radius * pair.spacing)
-        for level in (pair.source, pair.target)
-    )
-    return source @ target.T
+    notes: tuple[str, ...] = ()  # what a user should know of how they were found
 
 
 def find_finalists(
@@ -63,42 +62,65 @@ def find_finalists(
     target: Cloud,
     *,
     config: SearchConfig = SearchConfig(),
-    similarity: Similarity = surface_similarity,
+    similarity: Similarity | None = None,
+    max_rotation_rad: float | None = None,
 ) -> Finalists:
     """Search the full range of poses; deterministic, no starting guess, no radius to tune.
 
-    `similarity` replaces the handcrafted descriptor of the coarse level (`surface_similarity`).
+    `similarity` finds the matches in place of the descriptor that the configuration names.
+    `max_rotation_rad` is the largest rotation that is possible, where somebody knows one.
     """
     clock = _Clock()
-    fine = thin_pair(source.points, target.points, limit=config.verify_points)
-    verify_level = level_pair(*fine)
-    coarse_level = verify_level
-    if max(len(points) for points in fine) > config.coarse_points:
-        thinned = thin_pair(*fine, limit=config.coarse_points)
-        coarse_level = level_pair(*thinned, support=fine)
+    coarse, fine = coarse_and_fine(source, target, config)
     clock.lap("levels")
-    T = _hypothesize(coarse_level, similarity, config, clock)
-    T = _refine_on_grids(coarse_level, T, config, clock)
-    if verify_level is not coarse_level:
-        T = _polish(verify_level, T)
+    learned = network_similarity(coarse) if config.descriptor == "network" else None
+    notes = ()
+    if learned is None and config.descriptor == "network":
+        notes = ("no descriptor weights in the package: matched by handcrafted histograms",)
+    alike = learned if similarity is None else similarity(coarse)
+    if alike is None:
+        alike = histogram_similarity(coarse) if learned is None else learned
+    clock.lap("describe")
+    T = _hypothesize(coarse, alike, config, clock)
+    T = _within(T, max_rotation_rad, slack_rad=_LIMIT_SLACK_RAD)
+    grids = _grids(coarse, band=3 * coarse.spacing)
+    T = _refine_on_grids(coarse, grids, T, config, clock)
+    T = _within(T, max_rotation_rad, slack_rad=0.0)
+    if fine is not coarse:
+        T = _polish(fine, T)
         clock.lap("refine")
-    features = _measure_level(verify_level, source, target, T)
+    features = _measure_level(fine, source, target, T)
+    agreed = agreement(T, coarse, grids, learned)
     clock.lap("verify")
     T = T.double()
     T = rigid.make(nearest_rotation(T[:, :3, :3]), T[:, :3, 3])
-    return Finalists(T, features, verify_level.spacing, clock.seconds)
+    return Finalists(T, torch.cat([features, agreed], 1), fine.spacing, clock.seconds, notes)
 
 
-def measure_pose(
+def coarse_and_fine(
+    source: Cloud, target: Cloud, config: SearchConfig = SearchConfig()
+) -> tuple[LevelPair, LevelPair]:
+    """The level of the search and that of the verdict; one and the same for small clouds."""
+    fine = thin_pair(source.points, target.points, limit=config.verify_points)
+    fine_level = level_pair(*fine)
+    if max(len(points) for points in fine) <= config.coarse_points:
+        return fine_level, fine_level
+    return level_pair(*thin_pair(*fine, limit=config.coarse_points), support=fine), fine_level
+
+
+def measure_poses(
     source: Cloud,
     target: Cloud,
-    T_target_source: Float[Tensor, "4 4"],
+    T_target_source: Float[Tensor, "k 4 4"],
     *,
     config: SearchConfig = SearchConfig(),
-) -> Float[Tensor, "1 f"]:
-    """What verification measures of one pose, found in whatever way."""
-    level = level_pair(*thin_pair(source.points, target.points, limit=config.verify_points))
-    return _measure_level(level, source, target, T_target_source[None].float())
+) -> Float[Tensor, "k f"]:
+    """What verification measures of poses, found in whatever way."""
+    coarse, fine = coarse_and_fine(source, target, config)
+    T = T_target_source.float()
+    grids = _grids(coarse, band=3 * coarse.spacing)
+    agreed = agreement(T, coarse, grids, network_similarity(coarse))
+    return torch.cat([_measure_level(fine, source, target, T), agreed], 1)
 
 
 def _measure_level(pair: LevelPair, source: Cloud, target: Cloud, T: Tensor) -> Tensor:
@@ -109,12 +131,8 @@ def _measure_level(pair: LevelPair, source: Cloud, target: Cloud, T: Tensor) -> 
     return measure(T, surfaces[0], surfaces[1], spacing=pair.spacing)
 
 
-def _hypothesize(
-    pair: LevelPair, similarity: Similarity, config: SearchConfig, clock: _Clock
-) -> Tensor:
+def _hypothesize(pair: LevelPair, alike: Tensor, config: SearchConfig, clock: _Clock) -> Tensor:
     h, source, target = pair.spacing, pair.source, pair.target
-    alike = similarity(pair)
-    clock.lap("describe")
     matches = candidate_matches(alike, limit=config.match_limit)
     agreement = hypotheses.compatibility(
         matches,
@@ -130,9 +148,19 @@ def _hypothesize(
     return T
 
 
-def _refine_on_grids(pair: LevelPair, T: Tensor, config: SearchConfig, clock: _Clock) -> Tensor:
+def _within(T: Tensor, max_rotation_rad: float | None, *, slack_rad: float) -> Tensor:
+    """The poses that turn no more than is possible; if none does, the one that turns least."""
+    if max_rotation_rad is None:
+        return T
+    angle = rigid.rotation_angle_rad(T[:, :3, :3])
+    within = angle <= max_rotation_rad + slack_rad
+    return T[within] if bool(within.any()) else T[angle.argmin()][None]
+
+
+def _refine_on_grids(
+    pair: LevelPair, grids: list[NearestGrid], T: Tensor, config: SearchConfig, clock: _Clock
+) -> Tensor:
     h, source, target = pair.spacing, pair.source.points, pair.target.points
-    grids = _grids(pair, band=3 * h)
     scores = hypotheses.score_poses(
         source[::4], pair.source.area[::4], grids[1], T, truncation=2 * h
     )
@@ -143,8 +171,8 @@ def _refine_on_grids(pair: LevelPair, T: Tensor, config: SearchConfig, clock: _C
     clock.lap("score")
     T = refine_poses(
         T[kept],
-        source[::3],
-        target[::3],
+        source[::4],
+        target[::4],
         *grids,
         scales=(3 * h,) * 3 + (2.5 * h,) * 3 + (2 * h,) * 3,
     )
@@ -152,7 +180,13 @@ def _refine_on_grids(pair: LevelPair, T: Tensor, config: SearchConfig, clock: _C
     kept = hypotheses.distinct(
         hypotheses.pose_coordinates(T, source), both, radius=h, limit=config.finalists
     )
+    kept = kept[both[kept] >= config.mode_share * both.amax()]
     T = refine_poses(T[kept], source, target, *grids, scales=(1.5 * h,) * 3 + (1.2 * h,) * 4)
+    both = _two_sided(pair, grids, T, truncation=h)
+    kept = hypotheses.distinct(
+        hypotheses.pose_coordinates(T, source), both, radius=0.2 * h, limit=config.finalists
+    )
+    T = T[kept[both[kept] >= config.finalist_share * both.amax()]]
     clock.lap("refine")
     return T
 

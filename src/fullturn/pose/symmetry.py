@@ -12,7 +12,7 @@ from torch import Tensor
 
 from fullturn.geometry import rigid
 from fullturn.geometry.cloud import Cloud
-from fullturn.pose.search import find_finalists, measure_pose
+from fullturn.pose.search import find_finalists, measure_poses
 from fullturn.pose.verdict import same_pose
 from fullturn.pose.verify import FEATURES
 
@@ -77,7 +77,7 @@ def cloud_symmetries(cloud: Cloud) -> Float[Tensor, "k 4 4"]:
     still = torch.eye(4, dtype=torch.float64, device=order.device)
     column = FEATURES.index("distance_two")
     fit = found.features[:, column]
-    good = fit < measure_pose(one, other, still)[0, column] + _FIT_MARGIN
+    good = fit < measure_poses(one, other, still[None])[0, column] + _FIT_MARGIN
     ranked = found.T_target_source[good][torch.argsort(fit[good], stable=True)]
     kept = [still]
     for T in ranked:

@@ -10,8 +10,9 @@ from fullturn.geometry.cloud import Cloud
 from fullturn.pose.fine import measure_residuals
 
 # Both directions count the same surface, and neighboring residuals share points and normals:
-# measured on generated pairs, squared errors are this many times what independent ones would give.
-_INFLATION = 5.0
+# squared errors are this many times what independent ones would give, where the two clouds hold the
+# same points and where they don't (measured: benchmarks/covariance.py).
+_INFLATION_SAME, _INFLATION_INDEPENDENT = 4.0, 7.0
 # Where the clouds say nothing, a standard deviation of one radian and one radius.
 _PRIOR = 1.0
 # Coordinates are no better than this (normalized), even where all partners agree exactly; an
@@ -30,7 +31,9 @@ def pose_covariance(
     """
     residuals = measure_residuals(T_target_source, source, target, cutoff=cutoff)
     floor = min(1.0, residuals.sigma_normal / _LEAST_SIGMA) ** 2
-    H = floor * (residuals.H + residuals.H.mT) / (2.0 * _INFLATION)
+    trust = residuals.trust
+    inflation = trust * _INFLATION_SAME + (1.0 - trust) * _INFLATION_INDEPENDENT
+    H = floor * (residuals.H + residuals.H.mT) / (2.0 * inflation)
     values, vectors = torch.linalg.eigh(H)
     covariance = (vectors / (values.clamp_min(0.0) + _PRIOR)) @ vectors.mT
     return (covariance + covariance.mT) / 2.0

@@ -63,6 +63,8 @@ def log_probabilities(
 ) -> Float[Tensor, "*batch k+1"]:
     """Conditional logit (McFadden 1974) over the finalists and, last, "none of them"."""
     standard = ((inputs - weights.mean) / weights.deviation).clamp(-_LARGEST_INPUT, _LARGEST_INPUT)
+    # What could not be measured says nothing: it stands at its mean.
+    standard = standard.nan_to_num(0.0)
     score = torch.tanh(standard @ weights.hidden + weights.hidden_bias) @ weights.output
     if present is not None:
         score = score.masked_fill(~present, -1e9)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -10,12 +11,13 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from fullturn.geometry.neighbors import NeighborIndex, gather
-from fullturn.pose.levels import Level
+from fullturn.pose.grid import NearestGrid
+from fullturn.pose.levels import Level, LevelPair
 from fullturn.pose.visibility import DepthImage
 
-# What `measure` gives for each pose. All are averages of the two directions, then, for the ones in
-# _SIDED, how far the two directions differ. h is the point spacing, d the distance to the nearest
-# point of the other cloud; "near" means d < 1.5 h.
+# MEASURED is what `measure` gives for each pose. All are averages of the two directions, then, for
+# the ones in _SIDED, how far the two directions differ. h is the point spacing, d the distance to
+# the nearest point of the other cloud; "near" means d < 1.5 h.
 _LOGARITHMIC = (
     "distance_half",  # mean of min(d/h, 0.5)²
     "distance_one",  # mean of min(d/h, 1)²
@@ -38,12 +40,19 @@ _SIDED = ("distance_half", "distance_two", "plane", "smooth_half", "overlap", "c
 _SEEN = (
     "sight_blocked",  # share of points in front of the surface that a known sensor saw
     "sight_empty",  # share where that sensor saw nothing at all
+    "sight_outside",  # share beside all that it saw, where it may not have looked
     "sight_known",  # share of the two sensors whose place is known
 )
 _PAIR = ("log_points",)  # of the smaller cloud, natural logarithm
+# Of coarse points that are near, by the descriptor network; NaN where there is none.
+_AGREEMENT = (
+    "alike",  # mean similarity of a point and its partner
+    "unlike",  # mean of how much more alike the most similar point of the other cloud is
+)
 _CONFLICT_REACH = 0.25  # normalized
 _RAW = _LOGARITHMIC + _LINEAR
-FEATURES = _RAW + tuple(f"{name}_sides" for name in _SIDED) + _SEEN + _PAIR
+MEASURED = _RAW + tuple(f"{name}_sides" for name in _SIDED) + _SEEN + _PAIR
+FEATURES = MEASURED + _AGREEMENT
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +93,7 @@ def prepare_surface(
 def measure(
     T_target_source: Float[Tensor, "k 4 4"], source: Surface, target: Surface, *, spacing: float
 ) -> Float[Tensor, "k f"]:
-    """One row of `FEATURES` per pose; lengths are normalized (`Cloud`), `spacing` is h."""
+    """One row of `MEASURED` per pose; lengths are normalized (`Cloud`), `spacing` is h."""
     R, t = T_target_source[:, :3, :3], T_target_source[:, None, :3, 3]
     there = source.points @ R.mT + t
     back = (target.points - t) @ R
@@ -95,15 +104,47 @@ def measure(
         back, (target.smooth - t) @ R, target.normals @ R, target.area, source, spacing
     )
     sided = [_RAW.index(name) for name in _SIDED]
-    seen = torch.zeros_like(forward[:, :3])
+    seen = torch.zeros_like(forward[:, : len(_SEEN)])
     for image, points in ((target.image, there), (source.image, back)):
         if image is not None:
-            seen[:, :2] += image.violations(points) / 2
-            seen[:, 2] += 0.5
+            seen[:, :-1] += image.violations(points) / 2
+            seen[:, -1] += 0.5
     differences = (forward - backward)[:, sided].abs()
     fewest = min(len(source.points), len(target.points))
     size = torch.full_like(seen[:, :1], math.log(fewest))
     return torch.cat([(forward + backward) / 2, differences, seen, size], 1)
+
+
+def agreement(
+    T_target_source: Float[Tensor, "k 4 4"],
+    pair: LevelPair,
+    grids: Sequence[NearestGrid],
+    alike: Float[Tensor, "n m"] | None,
+) -> Float[Tensor, "k 2"]:
+    """Whether points that a pose brings together are alike: the last columns of `FEATURES`.
+
+    `grids` are those of source and target, `alike` how similar any two of their points are.
+    """
+    k = len(T_target_source)
+    if alike is None:
+        return T_target_source.new_full((k, len(_AGREEMENT)), math.nan)
+    R, t = T_target_source[:, :3, :3], T_target_source[:, None, :3, 3]
+    sums = T_target_source.new_zeros(k, 3)
+    for moved, area, grid, similarity in (
+        (pair.source.points @ R.mT + t, pair.source.area, grids[1], alike),
+        ((pair.target.points - t) @ R, pair.target.area, grids[0], alike.T),
+    ):
+        partner = grid.index(moved).long()
+        near = partner < len(grid.points) - 1
+        difference = moved - grid.points[partner]
+        near &= difference.square().sum(-1) < (1.5 * pair.spacing) ** 2
+        weight = area * near
+        found = similarity.gather(1, partner.clamp_max(similarity.shape[1] - 1).T).T
+        most = similarity.amax(1)
+        sums += torch.stack(
+            [(weight * found).sum(-1), (weight * (most - found)).sum(-1), weight.sum(-1)], -1
+        )
+    return sums[:, :2] / sums[:, 2:].clamp_min(1.0)
 
 
 def _one_side(

@@ -18,8 +18,8 @@ class DepthImage:
 
     Pixels are 1.5 `spacing` wide at the cloud's distance. A point contradicts what was seen only if
     it lies in front of the nearest depth in its pixel and around it, or where all of them are
-    empty. The image is a disk that ends a quarter of its radius beyond the cloud, and at 45°:
-    nothing is known outside.
+    empty. The image is a disk that ends a quarter of its radius beyond the cloud, and at 45°;
+    outside, where the sensor may not have looked, points are counted apart.
     """
 
     def __init__(
@@ -49,11 +49,11 @@ class DepthImage:
         grown = -torch.nn.functional.max_pool2d(-square, 3, 1, 1)
         self._nearest = grown.view(-1)
 
-    def violations(self, points: Float[Tensor, "k n 3"]) -> Float[Tensor, "k 2"]:
-        """Shares of points that float in front of the surface seen, and in front of nothing seen.
+    def violations(self, points: Float[Tensor, "k n 3"]) -> Float[Tensor, "k 3"]:
+        """Shares of points in front of the surface seen, in front of nothing seen, and outside.
 
-        Both would have been returned by the sensor in place of what it returned. Points outside
-        the image count as neither.
+        The first two would have been returned by the sensor in place of what it returned. Those
+        outside the image would have been seen if the sensor looked there.
         """
         image, depth = self._project(points)
         cell, inside = self._cell(image, depth)
@@ -61,7 +61,7 @@ class DepthImage:
         seen = torch.isfinite(nearest)
         in_front = inside & seen & (depth < nearest - self._margin)
         in_nothing = inside & ~seen
-        shares = [mask.to(points.dtype).mean(-1) for mask in (in_front, in_nothing)]
+        shares = [mask.to(points.dtype).mean(-1) for mask in (in_front, in_nothing, ~inside)]
         return torch.stack(shares, -1)
 
     def _project(self, points: Tensor) -> tuple[Tensor, Tensor]:

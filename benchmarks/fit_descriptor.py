@@ -1,0 +1,265 @@
+"""Fit the default method's descriptor network (`fullturn.nn.surface`).
+
+    python benchmarks/fit_descriptor.py collect --out runs/descriptor --count 9000 [--data DIR]
+    python benchmarks/fit_descriptor.py fit --out runs/descriptor --epochs 8
+
+`collect` makes pairs of many kinds (`fullturn.data.mixture`) of generated shapes and, with --data,
+of the freely licensed meshes of a mesh pack, and stores their coarse levels, as the search sees
+them. `fit` trains on all but the last pairs, which it validates on, and writes the weights into the
+package. Both go on where they were interrupted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import time
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import numpy as np
+import torch
+from safetensors.torch import save_file
+from torch import Tensor
+
+from fullturn.data.mixture import mixed_pair
+from fullturn.data.shapes import MeshPack, MeshSource, ProceduralShapes
+from fullturn.errors import FullturnError
+from fullturn.nn.surface import SurfaceNet
+from fullturn.normalize import normalized_clouds
+from fullturn.pose.search import coarse_and_fine
+
+FREE_SOURCES = ("sweethome3d", "gazebo", "bullet_random")
+LEAST_POINTS = 200
+SAME, OTHER = 1.5, 4.0  # spacings: a partner, and surely none
+TEMPERATURE = 0.07
+ANCHORS = 256  # points of each cloud whose matches a step looks at
+BATCH = 4
+VALIDATION = 300  # pairs
+
+CARD = """# descriptor.safetensors
+
+Weights of the default method's descriptor (`fullturn.nn.surface.SurfaceNet`): {parameters:,}
+numbers.
+
+- Recipe: `benchmarks/fit_descriptor.py`, {pairs:,} pairs, {epochs} epochs, {minutes:.0f} minutes of
+  one core.
+- Data: shapes that our own generator makes, and meshes with a free licence (Sweet Home 3D: CC0 and
+  CC-BY, by the contributors listed with its furniture libraries; Gazebo models: CC-BY, copyright
+  2012 Nathan Koenig; Bullet's random objects: zlib). No ModelNet40 shape and no real scan.
+- Licence: Apache-2.0, as the package.
+
+Of the 500 best matches of a pair, the share that is right (within two spacings), on {validation}
+pairs that were held out:
+
+{scores}
+"""
+
+
+def collect(args: argparse.Namespace) -> None:
+    torch.set_num_threads(1)
+    shapes: list[MeshSource] = [ProceduralShapes(100_000, seed=args.seed)]
+    if args.data:
+        pack = MeshPack(Path(args.data) / "meshes_open.npz", split="train", sources=FREE_SOURCES)
+        shapes += [pack, pack]
+    args.out.mkdir(parents=True, exist_ok=True)
+    for first in range(args.first, args.count, args.shard):
+        path = args.out / f"levels-{args.seed}-{first:06d}.pt"
+        if path.exists():
+            continue
+        rows = []
+        for number in range(first, min(first + args.shard, args.count)):
+            try:
+                row = level_row(shapes, args.seed, number)
+            except FullturnError as error:
+                print(number, type(error).__name__, error, flush=True)
+                continue
+            if row is not None:
+                rows.append(row)
+        torch.save(rows, path)
+        print(path.name, len(rows), flush=True)
+
+
+def level_row(shapes: list[MeshSource], seed: int, number: int) -> dict[str, Any] | None:
+    """A pair as the search sees it, in point spacings; None for one that can't teach anything."""
+    mixed = mixed_pair(shapes, seed=seed, number=number)
+    pair = mixed.pair
+    if mixed.kind == "unrelated" or min(len(pair.source), len(pair.target)) < LEAST_POINTS:
+        return None
+    source, target, frame = normalized_clouds(pair.source, pair.target)
+    level, _ = coarse_and_fine(source, target)
+    T = torch.from_numpy(frame.normalize(pair.T_target_source)).float()
+    T[:3, 3] /= level.spacing
+    return {
+        "kind": mixed.kind,
+        "T": T,
+        "clouds": [
+            {"points": one.points / level.spacing, "normals": one.normals, "area": one.area}
+            for one in (level.source, level.target)
+        ],
+    }
+
+
+def fit(args: argparse.Namespace) -> None:
+    torch.set_num_threads(1)
+    rows = [row for f in sorted(args.out.glob("levels-*.pt")) for row in torch.load(f)]
+    rows, held_out = rows[:-VALIDATION], rows[-VALIDATION:]
+    torch.manual_seed(args.seed)
+    network = SurfaceNet()
+    with torch.no_grad():
+        for row in rows + held_out:
+            for cloud in row["clouds"]:
+                told = network.surroundings(cloud["points"], cloud["normals"], cloud["area"])
+                cloud["told"] = told.half()
+        some = torch.cat([row["clouds"][0]["told"].float() for row in rows[:400]])
+        network.mean.copy_(some.mean(0))
+        network.deviation.copy_(some.std(0) + 1e-3)
+    print(f"{len(rows)} pairs, {len(held_out)} held out", flush=True)
+    steps = args.epochs * (len(rows) // BATCH)
+    optimizer = torch.optim.AdamW(network.parameters(), lr=args.rate, weight_decay=1e-4)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, args.rate, total_steps=steps + 1)
+    state_path = args.out / "fit.ckpt"
+    step, seconds = 0, 0.0
+    if state_path.exists():
+        state = torch.load(state_path)
+        network.load_state_dict(state["network"])
+        optimizer.load_state_dict(state["optimizer"])
+        schedule.load_state_dict(state["schedule"])
+        step, seconds = state["step"], state["seconds"]
+    begin = time.process_time() - seconds
+    total = 0.0
+    while step < steps:
+        rng = np.random.default_rng([args.seed, step])
+        epoch, place = divmod(step * BATCH, len(rows) // BATCH * BATCH)
+        order = np.random.default_rng([args.seed, 1 << 20, epoch]).permutation(len(rows))
+        losses = [
+            value
+            for number in order[place : place + BATCH]
+            if (value := pair_loss(network, rows[number], rng)) is not None
+        ]
+        step += 1
+        schedule.step()
+        if not losses:
+            continue
+        optimizer.zero_grad()
+        loss = torch.stack(losses).mean()
+        loss.backward()
+        optimizer.step()
+        total += loss.item()
+        if step % 250 == 0:
+            seconds = time.process_time() - begin
+            print(f"step {step} of {steps}: {total / 250:.3f}, {seconds:.0f} s", flush=True)
+            total = 0.0
+            torch.save(
+                {
+                    "network": network.state_dict(),
+                    "optimizer": optimizer.state_dict(),
+                    "schedule": schedule.state_dict(),
+                    "step": step,
+                    "seconds": seconds,
+                },
+                state_path,
+            )
+        if step % 2000 == 0:
+            print(scores(network, held_out), flush=True)
+    write(network, args, pairs=len(rows), held_out=held_out, minutes=seconds / 60)
+
+
+def describe(network: SurfaceNet, cloud: dict[str, Tensor]) -> Tensor:
+    return network.describe(cloud["told"].float(), cloud["points"], cloud["area"])
+
+
+def pair_loss(network: SurfaceNet, row: dict[str, Any], rng: np.random.Generator) -> Tensor | None:
+    """Cross entropy of a point's partners among all points of the other cloud, both ways.
+
+    Points between `SAME` and `OTHER` away from the true place count as neither.
+    """
+    source, target = row["clouds"]
+    T = row["T"]
+    there = source["points"] @ T[:3, :3].T + T[:3, 3]
+    descriptors = [describe(network, cloud) for cloud in (source, target)]
+    places = [there, target["points"]]
+    losses = []
+    for one in (0, 1):
+        anchors = torch.from_numpy(rng.permutation(len(places[one]))[:ANCHORS])
+        distance = torch.cdist(places[one][anchors], places[1 - one])
+        partner = distance < SAME
+        known = partner.any(1)
+        if not bool(known.any()):
+            continue
+        logits = descriptors[one][anchors[known]] @ descriptors[1 - one].T / TEMPERATURE
+        partner, distance = partner[known], distance[known]
+        among = logits.masked_fill(~partner & (distance < OTHER), -1e4)
+        right = logits.masked_fill(~partner, -1e4)
+        losses.append((among.logsumexp(1) - right.logsumexp(1)).mean())
+    return torch.stack(losses).mean() if losses else None
+
+
+@torch.no_grad()
+def scores(network: SurfaceNet, rows: list[dict[str, Any]]) -> str:
+    """The share of right matches among the 500 best, by kind, as a table."""
+    shares: dict[str, list[float]] = {"all": []}
+    for row in rows:
+        source, target = row["clouds"]
+        alike = describe(network, source) @ describe(network, target).T
+        value, index = alike.max(1)
+        best = value.topk(min(500, len(value))).indices
+        there = source["points"][best] @ row["T"][:3, :3].T + row["T"][:3, 3]
+        right = (there - target["points"][index[best]]).norm(dim=-1) < 2.0
+        for kind in ("all", row["kind"]):
+            shares.setdefault(kind, []).append(float(right.float().mean()))
+    lines = [f"| {kind} | {len(v)} | {np.mean(v):.3f} |" for kind, v in shares.items()]
+    return "\n".join(["| kind | pairs | right |", "| --- | ---: | ---: |", *lines])
+
+
+def write(
+    network: SurfaceNet,
+    args: argparse.Namespace,
+    *,
+    pairs: int,
+    held_out: list[dict[str, Any]],
+    minutes: float,
+) -> None:
+    """The weights and their card."""
+    table = scores(network, held_out)
+    print(table)
+    tensors = {key: value.contiguous() for key, value in network.state_dict().items()}
+    save_file(tensors, args.weights, metadata={"config": json.dumps(asdict(network.config))})
+    args.weights.chmod(0o644)
+    args.weights.with_suffix(".md").write_text(
+        CARD.format(
+            parameters=sum(p.numel() for p in network.parameters()),
+            pairs=pairs,
+            epochs=args.epochs,
+            minutes=minutes,
+            validation=len(held_out),
+            scores=table,
+        )
+    )
+    print("wrote", args.weights)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("step", choices=["collect", "fit"])
+    parser.add_argument("--out", type=Path, default=Path("runs/descriptor"))
+    parser.add_argument("--count", type=int, default=9000, help="pairs to draw")
+    parser.add_argument("--first", type=int, default=0, help="number of the first pair")
+    parser.add_argument("--shard", type=int, default=250, help="pairs a file")
+    parser.add_argument("--seed", type=int, default=30)
+    parser.add_argument("--data", default=os.environ.get("FULLTURN_DATA"), help="mesh packs")
+    parser.add_argument("--epochs", type=int, default=8)
+    parser.add_argument("--rate", type=float, default=3e-3)
+    parser.add_argument(
+        "--weights", type=Path, default=Path("src/fullturn/weights/descriptor.safetensors")
+    )
+    args = parser.parse_args()
+    {"collect": collect, "fit": fit}[args.step](args)
+
+
+if __name__ == "__main__":
+    main()

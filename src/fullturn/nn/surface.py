@@ -1,0 +1,162 @@
+"""The default method's descriptor network: histograms of the surface, and what lies around."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+from torch.nn import functional
+
+from fullturn.errors import ReadError, one_line
+from fullturn.features.surface import between_ramps, ramps, shell_counts, shell_position
+
+
+@dataclass(frozen=True)
+class SurfaceNetConfig:
+    """Sizes of the network. Lengths are in point spacings."""
+
+    radius: float = 14.0  # of a point's surroundings
+    power: float = 0.7  # shells are narrower near the point
+    shells: int = 6
+    bins: int = 6
+    context_shells: int = 4
+    hidden: int = 96
+    context: int = 32
+    wide: int = 128
+    channels: int = 64  # of a descriptor
+
+
+class SurfaceNet(nn.Module):
+    """Descriptors of unit length, from points, centroid-oriented normals and areas.
+
+    1. Counts of signed pair angles in shells (`shell_counts`): their square roots, and the log of
+       the area in each shell.
+    2. A small perceptron.
+    3. Means of its output over shells of neighbors, and a second perceptron: a point learns what
+       kinds of surface lie how far away.
+
+    No order of neighbors, no coordinates, lengths in point spacings: what comes out depends on
+    neither pose, scale nor the order of the points.
+    """
+
+    mean: Tensor
+    deviation: Tensor
+
+    def __init__(self, config: SurfaceNetConfig = SurfaceNetConfig()) -> None:
+        super().__init__()
+        self.config = config
+        inputs = config.shells * (3 * config.bins + 1)
+        self.register_buffer("mean", torch.zeros(inputs))
+        self.register_buffer("deviation", torch.ones(inputs))
+        self.own = nn.Sequential(
+            nn.Linear(inputs, config.hidden),
+            nn.SiLU(),
+            nn.Linear(config.hidden, config.channels),
+            nn.SiLU(),
+        )
+        self.offered = nn.Linear(config.channels, config.context)
+        self.both = nn.Sequential(
+            nn.Linear(config.channels + config.context_shells * config.context, config.wide),
+            nn.SiLU(),
+            nn.Linear(config.wide, config.channels),
+        )
+
+    def forward(
+        self,
+        points: Float[Tensor, "n 3"],
+        normals: Float[Tensor, "n 3"],
+        area: Float[Tensor, " n"],
+        *,
+        spacing: float,
+    ) -> Float[Tensor, "n c"]:
+        """`spacing` is that of the points, in their unit."""
+        points = (points - points.mean(0)) / spacing
+        return self.describe(self.surroundings(points, normals, area), points, area)
+
+    def surroundings(
+        self,
+        points: Float[Tensor, "n 3"],
+        normals: Float[Tensor, "n 3"],
+        area: Float[Tensor, " n"],
+    ) -> Float[Tensor, "n i"]:
+        """What the network is told of each point; no weights of it take part."""
+        config = self.config
+        counts = shell_counts(
+            points,
+            normals,
+            area,
+            radius=config.radius,
+            shells=config.shells,
+            bins=config.bins,
+            signed=True,
+            power=config.power,
+        )
+        mass = counts.sum(-1, keepdim=True).div_(3).clamp_min_(1e-6)
+        return torch.cat([(counts / mass).sqrt_().flatten(1), mass[..., 0].log()], 1)
+
+    def describe(
+        self,
+        surroundings: Float[Tensor, "n i"],
+        points: Float[Tensor, "n 3"],
+        area: Float[Tensor, " n"],
+    ) -> Float[Tensor, "n c"]:
+        """Descriptors from surroundings; points in units of their spacing."""
+        own = self.own((surroundings - self.mean) / self.deviation)
+        offered = self.offered(own)
+        around = _shell_means(
+            points, area, offered, radius=self.config.radius, shells=self.config.context_shells
+        )
+        return functional.normalize(self.both(torch.cat([own, around], -1)), dim=-1)
+
+
+def _shell_means(
+    points: Float[Tensor, "n 3"],
+    area: Float[Tensor, " n"],
+    values: Float[Tensor, "n c"],
+    *,
+    radius: float,
+    shells: int,
+) -> Float[Tensor, "n k"]:
+    """Means of the neighbors' values over shells, each neighbor counting with its area."""
+    n = len(points)
+    with torch.no_grad():
+        distance = torch.cdist(points, points, compute_mode="donot_use_mm_for_euclid_dist")
+        weight = area * (distance < radius)
+        shell = shell_position(distance, radius=radius, shells=shells, power=1.0)
+        share = ramps(shell, shells, out=points.new_empty(n, shells, n)).mul_(weight.unsqueeze(1))
+    summed = share.flatten(0, 1) @ torch.cat([values, values.new_ones(n, 1)], 1)
+    summed = between_ramps(summed.view(n, shells, -1), 1)
+    return (summed[..., :-1] / summed[..., -1:].clamp_min(1e-3)).flatten(1)
+
+
+@cache
+def load_surface_net() -> SurfaceNet | None:
+    """The network with the weights in the package, in evaluation mode; None where they are missing.
+
+    Raises:
+        ReadError: weights of another network.
+    """
+    from safetensors import SafetensorError, safe_open
+
+    path = resources.files("fullturn") / "weights" / "descriptor.safetensors"
+    if not path.is_file():
+        return None
+    try:
+        with resources.as_file(path) as file, safe_open(file, framework="pt") as stored:
+            config = SurfaceNetConfig(**json.loads(stored.metadata()["config"]))
+            tensors = {key: stored.get_tensor(key) for key in stored.keys()}  # noqa: SIM118
+        # What is drawn here is overwritten; the caller's generator stays as it was.
+        with torch.random.fork_rng(devices=[]):
+            network = SurfaceNet(config)
+        network.load_state_dict(tensors, strict=True)
+    except (SafetensorError, RuntimeError, KeyError, TypeError, ValueError) as error:
+        raise ReadError(
+            f"expected the weights of this version's descriptor in {path}: {one_line(error)}; "
+            "install fullturn again"
+        ) from error
+    return network.eval()
