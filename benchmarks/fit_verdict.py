@@ -27,6 +27,7 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 from fullturn.data.mixture import KINDS, mixed_pair
+from fullturn.data.motion import axis_angle_rotation, invert, move, rigid
 from fullturn.data.pair import Pair
 from fullturn.data.shapes import MeshPack, MeshSource, ProceduralShapes
 from fullturn.errors import FullturnError
@@ -62,11 +63,27 @@ Scores on the fifth of the shapes that was held out:
 FREE_SOURCES = ("sweethome3d", "gazebo", "bullet_random")
 
 
+LIMITED = 0.15  # share of the pairs whose rotation is small, and known to be
+
+
 def normalized(pair: Pair, *, viewpoints: bool) -> tuple[Cloud, Cloud, Tensor]:
     """The two clouds as a method sees them, and the true pose between them."""
     eyes = (pair.source_viewpoint, pair.target_viewpoint) if viewpoints else (None, None)
     source, target, frame = normalized_clouds(pair.source, pair.target, *eyes)
     return source, target, torch.from_numpy(frame.normalize(pair.T_target_source))
+
+
+def nearly_aligned(pair: Pair, rng: np.random.Generator) -> Pair:
+    """The pair with its source moved, so that a rotation of at most 45° is left."""
+    T_target_new = rigid(axis_angle_rotation(rng, max_angle_deg=45.0), np.zeros(3))
+    T_new_source = invert(T_target_new) @ pair.T_target_source
+    eye = pair.source_viewpoint
+    return dataclasses.replace(
+        pair,
+        source=move(T_new_source, pair.source),
+        T_target_source=T_target_new,
+        source_viewpoint=None if eye is None else move(T_new_source, eye[None])[0],
+    )
 
 
 def collect(args: argparse.Namespace) -> None:
@@ -86,8 +103,12 @@ def collect(args: argparse.Namespace) -> None:
         for number in range(first, min(first + args.shard, args.count)):
             try:
                 mixed = mixed_pair(shapes, seed=args.seed, number=number, dense=args.dense)
-                source, target, T_true = normalized(mixed.pair, viewpoints=number % 2 == 0)
-                found = find_finalists(source, target)
+                pair, limit = mixed.pair, None
+                rng = np.random.default_rng([args.seed, number, 1])
+                if rng.random() < LIMITED:
+                    pair, limit = nearly_aligned(pair, rng), rng.uniform(0.8, 1.2)
+                source, target, T_true = normalized(pair, viewpoints=number % 2 == 0)
+                found = find_finalists(source, target, max_rotation_rad=limit)
             except FullturnError as error:
                 print(number, type(error).__name__, error, flush=True)
                 continue

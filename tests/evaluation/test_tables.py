@@ -46,6 +46,7 @@ def test_every_column_has_its_number(tmp_path: Path) -> None:
         "pairs": "scans", "method": "ours", "n": "4", "mean °": "2.50 [1.25, 4.50]",
         "median °": "0.500", "<1° %": "50.0", "<5° %": "75.0 [25.0, 100.0]", "right %": "75.0",
         "geometric %": "100.0 [100.0, 100.0]", "said %": "62.5", "ECE": "0.087",
+        "sure %": "–", "sure, right %": "–",
         "mean t": "0.0123", "mean distance": "0.0456", "failures": "1", "CPU s": "0.38",
     }  # fmt: skip
     assert "Seed of the methods: 5; of the pairs: 3." in table.notes

@@ -15,6 +15,7 @@ from fullturn.evaluation import metrics
 from fullturn.evaluation.predict import Prediction
 
 _DISTANCES = ("mean_point_distance", "rmse", "rmse_paper")
+_CERTAIN = 0.9  # from this probability on, an answer counts as certain
 
 
 @dataclass(frozen=True)
@@ -141,6 +142,10 @@ def _honesty(rows: Sequence[Score]) -> dict[str, Any]:
             for level in np.arange(1, 11) / 10
         },
     }
+    certain = probability >= _CERTAIN
+    summary["certain"] = float(certain.mean())
+    if certain.any():
+        summary["certain_right"] = float(success[certain].mean())
     unrelated = np.array([not row.related for row in rows])
     if unrelated.any():
         summary["unrelated_at_most_0.2"] = float(np.mean(probability[unrelated] <= 0.2))

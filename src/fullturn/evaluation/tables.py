@@ -19,6 +19,8 @@ _COLUMNS: dict[str, tuple[str, int | str]] = {
     "geometric %": ("geometric_success", "%"),
     "said %": ("mean_probability", "%"),
     "ECE": ("calibration_error", 3),
+    "sure %": ("certain", "%"),
+    "sure, right %": ("certain_right", "%"),
     "mean t": ("mean_translation_error", 4),
     "mean distance": ("mean_mean_point_distance", 4),
 }
@@ -33,6 +35,7 @@ EXPLANATION = (
     "Brackets hold 95 % bootstrap intervals. Right: within 5° and 5 % of the radius. Geometric: "
     "fits the clouds as well as the true pose does, or within 5°. Said: the mean probability that "
     "the method states, which should equal what is right; ECE: expected calibration error. "
+    "Sure: the share of pairs that get 0.9 or more; and, of these, the share that is right. "
     "Distance: of a point from where it belongs. Failures count, as the identity. CPU s: median "
     "of a pair on one thread."
 )

@@ -11,11 +11,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from fullturn.geometry import rigid
 from fullturn.geometry.cloud import Cloud
 from fullturn.methods.base import Estimate, Method, Traits
 from fullturn.pose.fine import refine_fine
 from fullturn.pose.levels import LevelPair
-from fullturn.pose.search import SearchConfig, find_finalists
+from fullturn.pose.search import LIMIT_EDGE_RAD, SearchConfig, find_finalists
 from fullturn.pose.symmetry import symmetry_of_poses
 from fullturn.pose.verdict import judge
 
@@ -80,7 +81,10 @@ class Consensus(Method):
         T = found.T_target_source[[index for index, _ in kept]].clone()
         probability = torch.tensor([p for _, p in kept], dtype=T.dtype)
         judged_at = time.perf_counter()
-        T[0] = refine_fine(T[0], source, target, start=2.0 * found.spacing)
+        answer = refine_fine(T[0], source, target, start=2.0 * found.spacing)
+        angle = float(rigid.rotation_angle_rad(answer[:3, :3]))
+        if max_rotation_rad is None or angle <= max_rotation_rad + LIMIT_EDGE_RAD:
+            T[0] = answer
         rivals = T[1:][probability[1:] >= config.rival_share * probability[0]]
         symmetry = symmetry_of_poses(T[0], rivals)
         end = time.perf_counter()

@@ -22,8 +22,10 @@ from fullturn.pose.refine import refine_poses
 from fullturn.pose.similarity import Similarity, histogram_similarity, network_similarity
 from fullturn.pose.verify import agreement, measure, prepare_surface
 
-# Hypotheses may lie this far beyond the largest possible rotation: refinement brings them back.
+# How far hypotheses may lie beyond the largest possible rotation, for refinement to bring them
+# back, and refined poses, which have errors, too.
 _LIMIT_SLACK_RAD = math.radians(15.0)
+LIMIT_EDGE_RAD = math.radians(3.0)
 
 
 @dataclass(frozen=True)
@@ -74,7 +76,7 @@ def find_finalists(
     coarse, fine = coarse_and_fine(source, target, config)
     clock.lap("levels")
     learned = network_similarity(coarse) if config.descriptor == "network" else None
-    notes = ()
+    notes: tuple[str, ...] = ()
     if learned is None and config.descriptor == "network":
         notes = ("no descriptor weights in the package: matched by handcrafted histograms",)
     alike = learned if similarity is None else similarity(coarse)
@@ -85,9 +87,9 @@ def find_finalists(
     T = _within(T, max_rotation_rad, slack_rad=_LIMIT_SLACK_RAD)
     grids = _grids(coarse, band=3 * coarse.spacing)
     T = _refine_on_grids(coarse, grids, T, config, clock)
-    T = _within(T, max_rotation_rad, slack_rad=0.0)
+    T = _within(T, max_rotation_rad, slack_rad=LIMIT_EDGE_RAD)
     if fine is not coarse:
-        T = _polish(fine, T)
+        T = _within(_polish(fine, T), max_rotation_rad, slack_rad=LIMIT_EDGE_RAD)
         clock.lap("refine")
     features = _measure_level(fine, source, target, T)
     agreed = agreement(T, coarse, grids, learned)
@@ -149,12 +151,19 @@ def _hypothesize(pair: LevelPair, alike: Tensor, config: SearchConfig, clock: _C
 
 
 def _within(T: Tensor, max_rotation_rad: float | None, *, slack_rad: float) -> Tensor:
-    """The poses that turn no more than is possible; if none does, the one that turns least."""
+    """The poses that turn no more than is possible.
+
+    If none does, the one that turns least, turned back to the limit about the source's mean.
+    """
     if max_rotation_rad is None:
         return T
     angle = rigid.rotation_angle_rad(T[:, :3, :3])
     within = angle <= max_rotation_rad + slack_rad
-    return T[within] if bool(within.any()) else T[angle.argmin()][None]
+    if bool(within.any()):
+        return T[within]
+    T = T[angle.argmin()][None]
+    R = rigid.exp_so3(rigid.log_so3(T[:, :3, :3]) * (max_rotation_rad / angle.min()))
+    return rigid.make(R, T[:, :3, 3])
 
 
 def _refine_on_grids(
