@@ -15,7 +15,7 @@ FILES = sorted(SOURCE.rglob("*.py"))
 
 # A room imports itself, rooms to its left and the foundation.
 ORDER = ["geometry", "features", "nn", "matching", "pose", "methods"]
-ORDER += ["io", "data", "viz", "api", "training", "evaluation", "cli"]
+ORDER += ["io", "data", "viz", "api", "training", "evaluation", "fusion", "cli"]
 FOUNDATION = {"__init__", "errors", "result"}
 # The front door is more than one file.
 PART_OF = dict.fromkeys(["batch", "normalize", "progress", "threads", "workers"], "api")

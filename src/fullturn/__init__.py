@@ -5,17 +5,29 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
-__all__ = ["Registration", "__version__", "load_cloud", "register", "register_many"]
+__all__ = [
+    "Fusion",
+    "Registration",
+    "__version__",
+    "fuse",
+    "load_cloud",
+    "register",
+    "register_many",
+]
 
 if TYPE_CHECKING:
     from fullturn.api import register, register_many
+    from fullturn.fusion.fuse import fuse
+    from fullturn.fusion.result import Fusion
     from fullturn.io import load_cloud
     from fullturn.result import Registration
 
 _HOMES = {
     "register": "fullturn.api",
     "register_many": "fullturn.api",
+    "fuse": "fullturn.fusion.fuse",
     "load_cloud": "fullturn.io",
+    "Fusion": "fullturn.fusion.result",
     "Registration": "fullturn.result",
 }
 

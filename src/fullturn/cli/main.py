@@ -15,6 +15,7 @@ from fullturn.cli.errors import INTERRUPTED, known_errors, tell
 # Verb → the module that holds a function of that name.
 _VERBS = {
     "register": "fullturn.cli.register",
+    "fuse": "fullturn.cli.fuse",
     "methods": "fullturn.cli.methods",
     "demo": "fullturn.cli.demo",
     "evaluate": "fullturn.cli.evaluate",

@@ -18,31 +18,19 @@ class Matches:
     similarity: Float[Tensor, " m"]
 
 
-def candidate_matches(
-    similarity: Float[Tensor, "n m"],
-    *,
-    per_point: int = 2,
-    limit: int = 1000,
-    mutual_bonus: float = 0.02,
-) -> Matches:
-    """The `limit` best pairs out of each point's most similar points in the other cloud.
+def candidate_matches(similarity: Float[Tensor, "n m"], *, limit: int = 1000) -> Matches:
+    """The `limit` best pairs of a point and its most similar point in the other cloud, both ways.
 
-    Each source point offers its `per_point` best targets, each target point its best source.
-    Pairs offered from both sides get a bonus on their similarity.
+    They are distinct: two points that are each other's most similar are one pair.
     """
     n, m = similarity.shape
-    per_point = min(per_point, m)
-    forward = similarity.topk(per_point, dim=1)
-    backward = similarity.max(dim=0)
     device = similarity.device
     key = torch.cat(
         [
-            (torch.arange(n, device=device)[:, None] * m + forward.indices).reshape(-1),
-            backward.indices * m + torch.arange(m, device=device),
+            torch.arange(n, device=device) * m + similarity.argmax(1),
+            similarity.argmax(0) * m + torch.arange(m, device=device),
         ]
-    )
-    key, count = torch.unique(key, return_counts=True)
-    value = similarity.reshape(-1)[key] + mutual_bonus * (count > 1)
-    value, order = torch.sort(value, descending=True, stable=True)
+    ).unique()
+    value, order = torch.sort(similarity.reshape(-1)[key], descending=True, stable=True)
     key = key[order[:limit]]
     return Matches(key // m, key % m, value[:limit])

@@ -12,6 +12,7 @@ from fullturn.pose.kabsch import weighted_kabsch
 
 # Poses scored at once: their transformed points then stay in the processor's cache.
 _POSES_AT_ONCE = 128
+_COUNTED = 3  # one in so many matches counts for the agreement of two others
 
 
 def compatibility(
@@ -53,11 +54,12 @@ def seeded_poses(
 
     Second-order agreement counts, for two compatible matches, the matches compatible with both
     (Chen et al., "SC²-PCR", CVPR 2022): right matches share many, wrong ones few, which finds
-    consistent sets even where most matches are wrong and several modes exist side by side.
+    consistent sets even where most matches are wrong and several modes exist side by side. One match
+    in three is counted: which ones share a motion shows as well.
     """
     count = len(matches.source)
     compatible = (agreement > 0.3).to(agreement.dtype)
-    second_order = agreement * (compatible @ compatible)
+    second_order = agreement * (compatible[:, ::_COUNTED] @ compatible[::_COUNTED])
     weight, companion = second_order.topk(min(companions, count), dim=1)
     seed = torch.arange(count, device=companion.device)[:, None]
     members = torch.cat([seed, companion], 1)

@@ -34,10 +34,10 @@ class SearchConfig:
 
     coarse_points: int = 800  # per cloud, for descriptors and hypotheses
     verify_points: int = 2048  # per cloud, for the last refinement and the verdict
-    match_limit: int = 700
+    match_limit: int = 1000
     length_tolerance: float = 2.5  # between two matches of one rigid motion
     score_truncation: float = 2.0
-    modes: int = 96  # distinct poses refined on the coarse level
+    modes: int = 64  # distinct poses refined on the coarse level
     mode_radius: float = 2.0  # RMS displacement that makes two poses distinct
     finalists: int = 32  # distinct poses measured for the verdict
     # Share of the best pose's score below which a pose is dropped: after the first refinement, and

@@ -1,0 +1,161 @@
+"""`fullturn fuse SCANS…`: many scans of an object become one cloud."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from fullturn.fusion.result import Fusion
+
+
+def fuse(
+    scans: Annotated[
+        list[Path], typer.Argument(metavar="SCANS…", help="Clouds or meshes, in any order.")
+    ],
+    out: Annotated[
+        Path, typer.Option(help="Write the merged cloud: .ply, .npy, .xyz, .txt or .csv.")
+    ],
+    poses: Annotated[
+        Path | None, typer.Option(help="Write every scan's pose, probability and group: .json.")
+    ] = None,
+    report: Annotated[
+        Path | None, typer.Option(help="Write a report: one self-contained .html file.")
+    ] = None,
+    method: Annotated[str, typer.Option(help="See `fullturn methods`.")] = "auto",
+    min_probability: Annotated[
+        float, typer.Option(min=0.01, max=1.0, help="Join what is at least so probable.")
+    ] = 0.8,
+    workers: Annotated[int | None, typer.Option(min=1, help="Processes; else one per CPU.")] = None,
+    cache: Annotated[
+        Path | None, typer.Option(help="Folder for finished pairs; a stopped run goes on there.")
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="The same seed gives the same result.")] = 0,
+    json: Annotated[
+        bool, typer.Option("--json", help="Print the result as one JSON object.")
+    ] = False,
+) -> None:
+    """Find the poses of many scans of one object and merge them.
+
+    Scans that nothing firmly connects stay in groups of their own: --out gets the largest, every
+    other group of two or more scans a file beside it (merged_group2.ply, …).
+
+    Exit codes: 0 fused, into one group or several; 1 error, 2 wrong usage.
+    """
+    from fullturn.io.atomic import check_output
+    from fullturn.io.save import CLOUD_SUFFIXES, save_cloud
+
+    # Before the work, so that no result is lost to a wrong file name.
+    outputs = ((out, CLOUD_SUFFIXES), (poses, (".json",)), (report, (".html", ".htm")))
+    for path, suffixes in outputs:
+        if path is not None:
+            check_output(path, suffixes)
+
+    from json import dumps
+
+    from fullturn.fusion.fuse import fuse as run
+    from fullturn.io.atomic import write_atomic
+    from fullturn.workers import one_thread_each
+
+    with one_thread_each():
+        fusion = run(
+            scans,
+            method=method,
+            seed=seed,
+            min_probability=min_probability,
+            workers=workers,
+            cache=cache,
+            progress=True,
+        )
+    written = [out]
+    save_cloud(out, fusion.points)
+    for number, group in enumerate(fusion.groups[1:], start=2):
+        if len(group) > 1:
+            written.append(out.with_name(f"{out.stem}_group{number}{out.suffix}"))
+            save_cloud(written[-1], fusion.merged[number - 1].points)
+    content = _content(fusion, [str(scan) for scan in scans])
+    if poses is not None:
+        write_atomic(poses, dumps(content, indent=1) + "\n")
+    if report is not None:
+        from fullturn.fusion.report import write_fusion_report
+
+        write_fusion_report(report, scans, fusion)
+    if json:
+        print(dumps({**content, "written": [str(path) for path in written]}))
+    else:
+        _print_table(fusion, written)
+
+
+def _content(fusion: Fusion, paths: list[str]) -> dict[str, Any]:
+    """A fusion as JSON can hold it: NaN and what is left out are null."""
+    return {
+        "scans": [
+            {
+                "path": path,
+                "group": None if group < 0 else group + 1,
+                "T_world_scan": None if T is None else T.tolist(),
+                "probability": None if math.isnan(p) else p,
+                "covariance": None if C is None else C.tolist(),
+            }
+            for path, group, T, p, C in zip(
+                paths,
+                fusion.group,
+                fusion.T_world_scan,
+                fusion.probability,
+                fusion.covariance,
+                strict=True,
+            )
+        ],
+        "groups": [[paths[scan] for scan in group] for group in fusion.groups],
+        "edges": [
+            {
+                "target": paths[edge.target],
+                "source": paths[edge.source],
+                "probability": list(edge.probability),
+                "chosen": None if edge.chosen < 0 else edge.chosen,
+                "overlap": list(edge.overlap),
+                "error": edge.error,
+            }
+            for edge in fusion.edges
+        ],
+        "points": len(fusion.points),
+        "method": fusion.method,
+        "seconds": fusion.seconds,
+        "notes": list(fusion.notes),
+    }
+
+
+def _print_table(fusion: Fusion, written: list[Path]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    from fullturn.fusion.report import rotation_sigma_deg
+    from fullturn.viz.tables import probability
+
+    table = Table(box=None, pad_edge=False)
+    table.add_column("scan", overflow="fold")
+    for title in ("group", "probability", "± °", "pairs"):
+        table.add_column(title, justify="right")
+    for number, (name, group) in enumerate(zip(fusion.names, fusion.group, strict=True)):
+        pairs = sum(e.chosen >= 0 and number in (e.target, e.source) for e in fusion.edges)
+        sigma = rotation_sigma_deg(fusion, number)
+        alone = group >= 0 and len(fusion.groups[group]) == 1
+        table.add_row(
+            Text(name),  # a name may hold brackets that are no markup
+            str(group + 1) if group >= 0 else "left out",
+            "" if group < 0 else "alone" if alone else probability(fusion.probability[number]),
+            "" if math.isnan(sigma) else f"{sigma:.2f}",
+            str(pairs),
+        )
+    console = Console()
+    console.print(table)
+    for note in fusion.notes:
+        console.print(Text(f"note: {note}"))
+    files = ", ".join(map(str, written))
+    console.print(
+        Text(f"{len(fusion.points):,} points in {files}; {fusion.seconds['total']:.1f} s")
+    )

@@ -1,0 +1,177 @@
+"""The edges of the graph: pairs of scans, registered, each with its ranked poses."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+import fullturn
+from fullturn.api import register
+from fullturn.errors import FullturnError, one_line
+from fullturn.evaluation.fingerprint import fingerprint
+from fullturn.fusion.cache import EdgeCache
+from fullturn.fusion.scans import Scan, centered_points
+from fullturn.io import LoadedCloud
+from fullturn.methods.registry import get
+from fullturn.result import Registration
+from fullturn.workers import Crew
+
+Pair = tuple[int, int]  # target and source, places in the list of usable scans
+
+
+@dataclass(frozen=True, eq=False)
+class Edge:
+    """One registered pair. Lengths are in units of the fusion, frames centered on the scans."""
+
+    target: int
+    source: int
+    T_target_source: np.ndarray  # (k, 4, 4) distinct poses, best first; none where it failed
+    probability: np.ndarray  # (k,) summing to at most 1
+    overlap: tuple[tuple[float, float], ...]  # of each pose: target share second, as registered
+    covariance: np.ndarray  # (6, 6) of the best pose, right perturbation
+    is_symmetric: bool = False  # the poses are turns of the source onto itself
+    error: str | None = None
+
+    @property
+    def doubt(self) -> float:
+        """The probability that none of the poses is right."""
+        return max(0.0, 1.0 - float(self.probability.sum()))
+
+
+def edge_of(target: int, source: int, result: Registration) -> Edge:
+    """The edge that a registration states."""
+    others = result.alternatives
+    return Edge(
+        target,
+        source,
+        np.stack([result.T_target_source, *(other.T_target_source for other in others)]),
+        np.array([result.success_probability, *(other.success_probability for other in others)]),
+        (result.overlap, *(other.overlap for other in others)),
+        result.covariance,
+        result.symmetry is not None,
+    )
+
+
+def failed_edge(target: int, source: int, error: object) -> Edge:
+    """An edge without poses, with the reason."""
+    return Edge(
+        target, source, np.zeros((0, 4, 4)), np.zeros(0), (), np.eye(6), False, one_line(error)
+    )
+
+
+def pair_key(method: str, seed: int, length: float) -> Callable[[Scan, Scan], str]:
+    """What a pair's edge depends on, hashed: both scans, the method's code, seed and unit."""
+    code, _ = fingerprint(get(method))
+    settings = f"{fullturn.__version__} {code} {seed} {length!r}"
+
+    def key(target: Scan, source: Scan) -> str:
+        return hashlib.sha256(f"{target.key} {source.key} {settings}".encode()).hexdigest()
+
+    return key
+
+
+class Registrar:
+    """Registers pairs of scans, in worker processes if there are several, and keeps the results.
+
+    Leaving the block stops the workers; what is finished stays in the cache.
+    """
+
+    def __init__(
+        self,
+        scans: Sequence[Scan],
+        *,
+        length: float,
+        method: str,
+        seed: int,
+        workers: int,
+        cache: EdgeCache | None = None,
+    ) -> None:
+        self._scans, self._length, self._cache = scans, length, cache
+        self._work = partial(_registered, method=method, seed=seed)
+        self._crew = Crew(self._work, workers=workers) if workers > 1 else None
+        self._key = None if cache is None else pair_key(method, seed, length)
+
+    def __enter__(self) -> Registrar:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        if self._crew is not None:
+            self._crew.__exit__(*error)
+
+    def run(self, pairs: Iterable[Pair], advance: Callable[[int], None]) -> list[Edge]:
+        """One edge per pair, in the order of the pairs; `advance` is told of each."""
+        todo = list(pairs)
+        edges: list[Edge | None] = [self._found(pair) for pair in todo]
+        missing = [number for number, edge in enumerate(edges) if edge is None]
+        advance(len(todo) - len(missing))
+        tasks = [self._task(todo[number]) for number in missing]
+
+        def done(place: int, outcome: Any) -> None:
+            target, source = todo[missing[place]]
+            is_error = isinstance(outcome, FullturnError)
+            edge = (failed_edge if is_error else edge_of)(target, source, outcome)
+            edges[missing[place]] = edge
+            # A failure may be due to this run alone, such as too little memory.
+            if self._cache is not None and self._key is not None and not is_error:
+                self._cache.add(self._key(self._scans[target], self._scans[source]), _fields(edge))
+            advance(1)
+
+        if self._crew is None or len(tasks) < 2:
+            for place, task in enumerate(tasks):
+                done(place, self._work(task))
+        else:
+            self._crew.run(tasks, done)
+        return [edge for edge in edges if edge is not None]
+
+    def _task(self, pair: Pair) -> tuple[Any, ...]:
+        target, source = (self._scans[number] for number in pair)
+        return target.origin, target.center, source.origin, source.center, self._length
+
+    def _found(self, pair: Pair) -> Edge | None:
+        if self._cache is None or self._key is None:
+            return None
+        fields = self._cache.get(self._key(*(self._scans[number] for number in pair)))
+        return None if fields is None else _edge(*pair, fields)
+
+
+def _registered(task: tuple[Any, ...], *, method: str, seed: int) -> Registration | FullturnError:
+    target, target_center, source, source_center, length = task
+    try:
+        return register(
+            LoadedCloud(centered_points(source, source_center) / length, name="source"),
+            LoadedCloud(centered_points(target, target_center) / length, name="target"),
+            method=method,
+            seed=seed,
+        )
+    except FullturnError as error:
+        return error.with_traceback(None)  # whose frames would keep the clouds in memory
+    # A fault in one pair must not cost the others their results.
+    except Exception as error:
+        return FullturnError(f"unexpected {type(error).__name__}: {one_line(error)}")
+
+
+def _fields(edge: Edge) -> dict[str, Any]:
+    return {
+        "T_target_source": edge.T_target_source.tolist(),
+        "probability": edge.probability.tolist(),
+        "overlap": [list(shares) for shares in edge.overlap],
+        "covariance": edge.covariance.tolist(),
+        "is_symmetric": edge.is_symmetric,
+    }
+
+
+def _edge(target: int, source: int, fields: dict[str, Any]) -> Edge:
+    return Edge(
+        target,
+        source,
+        np.array(fields["T_target_source"]),
+        np.array(fields["probability"]),
+        tuple((a, b) for a, b in fields["overlap"]),
+        np.array(fields["covariance"]),
+        bool(fields["is_symmetric"]),
+    )

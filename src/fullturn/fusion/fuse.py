@@ -1,0 +1,264 @@
+"""Many scans of an object, in any order and pose, become one cloud."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+import torch
+
+from fullturn.batch import check_seed
+from fullturn.errors import InputError
+from fullturn.fusion.cache import EdgeCache
+from fullturn.fusion.edges import Edge, Registrar
+from fullturn.fusion.graph import GraphConfig, Placement, place_scans
+from fullturn.fusion.joint import refine_joint
+from fullturn.fusion.likely import ALL_PAIRS_UP_TO, likely_pairs, next_pairs
+from fullturn.fusion.merge import MergedCloud, merge_clouds
+from fullturn.fusion.optimize import Link, gtsam, optimize_poses
+from fullturn.fusion.result import FusedEdge, Fusion
+from fullturn.fusion.scans import Scan, check_scans
+from fullturn.methods.registry import get
+from fullturn.progress import progress_bar
+from fullturn.threads import torch_threads
+from fullturn.workers import check_workers
+
+_ALTERNATIVE_SIGMA = 0.02  # of a pose that isn't an edge's best, whose covariance isn't known
+_REACH, _CLOSEST = 0.1, 2.5  # of the joint refinement: in units of the fusion, in spacings
+_CELL = 1.5  # of the merged cloud, in spacings
+
+
+@torch_threads(1)
+def fuse(
+    clouds: Sequence[Any],
+    *,
+    method: str = "auto",
+    seed: int = 0,
+    min_probability: float = 0.8,
+    workers: int | None = 1,
+    cache: str | os.PathLike[str] | None = None,
+    progress: bool = False,
+) -> Fusion:
+    """Find the pose of every scan and merge them; scans that don't connect stay apart.
+
+    A cloud is whatever `register` takes, all in one unit. Two groups of scans are joined where the
+    poses between them are right with at least `min_probability`. Up to 12 scans, all pairs are
+    registered; of more, the most alike first, until all are connected or 10 pairs a scan are done.
+    `workers` as in `register_many`: a script calls this from under ``if __name__ == "__main__":``
+    where there are several. With a `cache` folder, finished pairs are kept, and a fusion that was
+    stopped goes on where it was. The result is the same for any number of workers, and from a
+    cache.
+
+    Raises:
+        InputError: fewer than two usable scans, another argument that cannot be used, or a cache
+            folder that holds something else.
+        DependencyError: gtsam is missing (``pip install "fullturn[fuse]"``).
+        WriteError: the cache cannot be written.
+    """
+    begin = time.perf_counter()
+    gtsam()  # says now, and not after the work, that a package is missing
+    check_seed(seed)
+    name = get(method)().name
+    workers = check_workers(workers)
+    if not 0.0 < min_probability <= 1.0:
+        raise InputError(
+            f"min_probability: expected a number above 0 and up to 1, got {min_probability!r}"
+        )
+    config = GraphConfig(min_probability=float(min_probability))
+    kept = None if cache is None else EdgeCache(cache)
+    scans, notes = check_scans(clouds)
+    length = float(np.median([scan.radius for scan in scans]))
+    loaded = time.perf_counter()
+
+    registrar = Registrar(
+        scans, length=length, method=method, seed=seed, workers=workers, cache=kept
+    )
+    with registrar:
+        edges, placement = _connect(registrar, scans, length, config, progress=progress)
+    connected = time.perf_counter()
+
+    poses, covariance = _refined(scans, length, edges, placement)
+    refined = time.perf_counter()
+    worlds, covariances = _denormalized(scans, length, placement, poses, covariance)
+    merged = tuple(_merged([scans[s] for s in g], worlds[list(g)]) for g in placement.groups)
+    end = time.perf_counter()
+
+    if kept is not None and kept.before > kept.used:
+        notes.append(
+            f"the cache holds {kept.before - kept.used} pairs of other scans, settings or versions;"
+            " they were not used"
+        )
+    failed = [edge for edge in edges if edge.error is not None]
+    if failed:
+        notes.append(f"{len(failed)} of {len(edges)} pairs failed, first: {failed[0].error}")
+    if len(placement.groups) > 1:
+        notes.append(f"the scans form {len(placement.groups)} groups that nothing firmly connects")
+    seconds = {
+        "check": loaded - begin,
+        "register": connected - loaded,
+        "refine": refined - connected,
+        "merge": end - refined,
+        "total": end - begin,
+    }
+    return _result(
+        clouds, scans, edges, placement, worlds, covariances, merged, name, seconds, notes
+    )
+
+
+def _connect(
+    registrar: Registrar,
+    scans: Sequence[Scan],
+    length: float,
+    config: GraphConfig,
+    *,
+    progress: bool,
+) -> tuple[list[Edge], Placement]:
+    """Register pairs in rounds until the scans are connected or enough has been tried."""
+    count = len(scans)
+    few = [(i, j) for i in range(count) for j in range(i + 1, count)]
+    order = few if count <= ALL_PAIRS_UP_TO else likely_pairs(scans, length)
+    edges: list[Edge] = []
+    placement = place_scans(count, edges, config)
+    number = 1
+    while True:
+        done = {(edge.target, edge.source) for edge in edges}
+        trusted = [
+            (edge.target, edge.source)
+            for edge, chosen in zip(edges, placement.chosen, strict=True)
+            if chosen >= 0
+        ]
+        todo = next_pairs(order, done, placement.groups, trusted, scans=count)
+        if not todo:
+            return edges, placement
+        with progress_bar(f"registering, round {number}", len(todo), shown=progress) as advance:
+            edges += registrar.run(todo, advance)
+        placement = place_scans(count, edges, config)
+        number += 1
+
+
+def _refined(
+    scans: Sequence[Scan], length: float, edges: Sequence[Edge], placement: Placement
+) -> tuple[np.ndarray, np.ndarray]:
+    """Poses (n, 4, 4) and covariances (n, 6, 6) in units of the fusion, by scan."""
+    poses = placement.T_group_scan.copy()
+    covariance = np.zeros((len(scans), 6, 6))
+    for group in placement.groups:
+        if len(group) == 1:
+            continue
+        members = list(group)
+        place = {scan: number for number, scan in enumerate(members)}
+        links = [
+            Link(
+                place[edge.target],
+                place[edge.source],
+                edge.T_target_source[chosen],
+                edge.covariance if chosen == 0 else _ALTERNATIVE_SIGMA**2 * np.eye(6),
+            )
+            for edge, chosen in zip(edges, placement.chosen, strict=True)
+            if chosen >= 0 and edge.target in place
+        ]
+        poses[members], covariance[members] = optimize_poses(poses[members], links)
+        spacing = float(np.median([_sample_spacing(scans[s]) for s in members])) / length
+        poses[members] = refine_joint(
+            torch.from_numpy(poses[members]),
+            [scans[s].sample / length for s in members],
+            [scans[s].sample_normals for s in members],
+            reach=max(_REACH, _CLOSEST * spacing),
+            closest=_CLOSEST * spacing,
+        ).numpy()
+    return poses, covariance
+
+
+def _sample_spacing(scan: Scan) -> float:
+    """About how far apart a scan's sampled points lie: on a surface, 1 / √share as far as all."""
+    return scan.spacing * (scan.count / len(scan.sample)) ** 0.5
+
+
+def _denormalized(
+    scans: Sequence[Scan],
+    length: float,
+    placement: Placement,
+    poses: np.ndarray,
+    covariance: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Both in the input's unit and frames; the world is the frame of a group's first scan."""
+    worlds, covariances = poses.copy(), covariance.copy()
+    for group in placement.groups:
+        first = scans[group[0]]
+        for number in group:
+            scan, R = scans[number], poses[number, :3, :3]
+            worlds[number, :3, 3] = length * poses[number, :3, 3] + first.center - R @ scan.center
+            x, y, z = scan.center
+            adjoint = np.eye(6)
+            adjoint[3:, :3] = [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]
+            adjoint[3:, 3:] *= length
+            covariances[number] = adjoint @ covariance[number] @ adjoint.T
+    return worlds, covariances
+
+
+def _merged(scans: Sequence[Scan], worlds: np.ndarray) -> MergedCloud:
+    middle = scans[0].center
+    spacing = [scan.spacing for scan in scans]
+    cell = _CELL * float(np.median(spacing)) or scans[0].radius * 1e-6
+
+    def moved() -> Iterator[np.ndarray]:
+        for scan, T in zip(scans, worlds, strict=True):
+            # Relative to the first scan's center, so that cells stay exact far from the origin.
+            shift = T[:3, :3] @ scan.center + T[:3, 3] - middle
+            yield scan.points() @ T[:3, :3].T + shift
+
+    merged = merge_clouds(moved(), cell)
+    return MergedCloud(merged.points + middle, merged.count)
+
+
+def _result(
+    clouds: Sequence[Any],
+    scans: Sequence[Scan],
+    edges: Sequence[Edge],
+    placement: Placement,
+    worlds: np.ndarray,
+    covariances: np.ndarray,
+    merged: tuple[MergedCloud, ...],
+    method: str,
+    seconds: dict[str, float],
+    notes: Sequence[str],
+) -> Fusion:
+    """Everything by the places in the list of clouds that was given."""
+    at = {scan.number: place for place, scan in enumerate(scans)}
+    numbers = range(len(clouds))
+    group_of = {s: number for number, group in enumerate(placement.groups) for s in group}
+
+    def label(number: int) -> str:
+        if number in at:
+            return scans[at[number]].name
+        thing = clouds[number]
+        return os.path.basename(thing) if isinstance(thing, (str, os.PathLike)) else f"{number + 1}"
+
+    def fused(edge: Edge, chosen: int) -> FusedEdge:
+        return FusedEdge(
+            scans[edge.target].number,
+            scans[edge.source].number,
+            tuple(float(p) for p in edge.probability),
+            chosen,
+            edge.overlap[max(chosen, 0)] if edge.overlap else (0.0, 0.0),
+            edge.error,
+        )
+
+    return Fusion(
+        names=tuple(label(n) for n in numbers),
+        T_world_scan=tuple(worlds[at[n]] if n in at else None for n in numbers),
+        group=tuple(group_of[at[n]] if n in at else -1 for n in numbers),
+        groups=tuple(tuple(scans[s].number for s in group) for group in placement.groups),
+        probability=tuple(
+            float(placement.probability[at[n]]) if n in at else float("nan") for n in numbers
+        ),
+        covariance=tuple(covariances[at[n]] if n in at else None for n in numbers),
+        edges=tuple(fused(e, c) for e, c in zip(edges, placement.chosen, strict=True)),
+        merged=merged,
+        method=method,
+        seconds=seconds,
+        notes=tuple(notes),
+    )

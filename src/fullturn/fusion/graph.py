@@ -1,0 +1,263 @@
+"""From edges with ranked poses to groups of scans, one pose each: cycles decide.
+
+Every edge between two scans, or two groups of scans, is a measurement of their relative pose: a few
+poses with probabilities p, and a doubt d that none is right. Against a relative pose T it speaks
+with f(T) = Σ p/ε over its poses that agree with T, plus d, where ε is the chance that a wrong pose
+agrees; against "none of these" with f = d. With T's own prior ε, one edge alone gives back its
+probabilities, and edges that agree raise each other's. Paths over a third scan speak in the same
+way, which is how cycles decide.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fullturn.fusion.edges import Edge
+
+
+@dataclass(frozen=True)
+class GraphConfig:
+    """When two poses agree, and what it takes to join scans."""
+
+    tolerance_deg: float = 12.0  # two poses agree within this angle
+    tolerance: float = 0.12  # … and this shift, in units of the fusion
+    chance: float = 0.05  # ε; far above a random pose's, for wrong poses of alike scans agree too
+    least_doubt: float = 0.02  # of any edge, however sure it is
+    min_probability: float = 0.8  # to join two groups
+    sweeps: int = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Measurement:
+    """What one edge, or one path of two, says of a relative pose."""
+
+    T: np.ndarray  # (k, 4, 4)
+    probability: np.ndarray  # (k,)
+    doubt: float
+
+
+@dataclass(frozen=True, eq=False)
+class Placement:
+    """Groups of scans, the largest first, and where their scans are."""
+
+    groups: tuple[tuple[int, ...], ...]
+    T_group_scan: np.ndarray  # (n, 4, 4), in the frame of the group's first scan
+    probability: np.ndarray  # (n,) of each pose, given the rest of its group; NaN for a lone scan
+    chosen: tuple[int, ...]  # of each edge: the pose that agrees with the placement, or −1
+
+
+def place_scans(count: int, edges: Sequence[Edge], config: GraphConfig | None = None) -> Placement:
+    """Join `count` scans into groups by the edges that agree with one another."""
+    config = config or GraphConfig()
+    pool = {frozenset((e.target, e.source)): e for e in edges if len(e.probability)}
+    graph = _Graph(count, pool, config)
+    graph.join()
+    for _ in range(config.sweeps):
+        if not graph.reconsider():
+            break
+        graph.join()
+    graph.split()
+    return graph.placement(edges)
+
+
+def posterior(
+    measurements: Sequence[Measurement], at: np.ndarray, config: GraphConfig
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Distinct relative poses (h, 4, 4) with their probabilities (h,), best first, and none's.
+
+    Poses agree within the tolerances, the shift taken at the point `at` (3,).
+    """
+    T = np.concatenate([m.T for m in measurements])
+    p = np.concatenate([m.probability for m in measurements])
+    starts = np.cumsum([0, *(len(m.T) for m in measurements[:-1])])
+    doubt = np.log([max(m.doubt, config.least_doubt) for m in measurements])
+    hypotheses = T[np.argsort(-p, kind="stable")[:64]]
+    agreeing = agree(hypotheses, T, at, config) * p / config.chance
+    spoken = np.add.reduceat(agreeing, starts, axis=1) + np.exp(doubt)
+    weight = np.log(spoken).sum(1) + np.log(config.chance)
+    same = agree(hypotheses, hypotheses, at, config)
+    kept: list[int] = []
+    for number in np.argsort(-weight, kind="stable"):
+        if not same[number, kept].any():
+            kept.append(int(number))
+    log = np.array([*weight[kept], doubt.sum()])
+    share = np.exp(log - log.max())
+    share /= share.sum()
+    return hypotheses[kept], share[:-1], float(share[-1])
+
+
+def agree(one: np.ndarray, other: np.ndarray, at: np.ndarray, config: GraphConfig) -> np.ndarray:
+    """Which poses (m, 4, 4) and (n, 4, 4) are the same within the tolerances: bool (m, n)."""
+    trace = np.einsum("mij,nij->mn", one[:, :3, :3], other[:, :3, :3])
+    close = trace > 1.0 + 2.0 * np.cos(np.deg2rad(config.tolerance_deg))
+    places = [T[:, :3, :3] @ at + T[:, :3, 3] for T in (one, other)]
+    shift = np.linalg.norm(places[0][:, None] - places[1][None], axis=-1)
+    result: np.ndarray = close & (shift < config.tolerance)
+    return result
+
+
+class _Graph:
+    """Scans in groups that grow; each group has a frame, that of one of its scans."""
+
+    def __init__(self, count: int, pool: dict[frozenset[int], Edge], config: GraphConfig) -> None:
+        self.count, self.pool, self.config = count, pool, config
+        self.poses = np.tile(np.eye(4), (count, 1, 1))
+        self.label = list(range(count))  # of each scan's group
+        self.next_label = count
+        self.neighbors: dict[int, set[int]] = {scan: set() for scan in range(count)}
+        for pair in pool:
+            a, b = pair
+            self.neighbors[a].add(b)
+            self.neighbors[b].add(a)
+        pairs = [(min(pair), max(pair)) for pair in pool]
+        self.order = sorted((-self._supported(i, j), i, j) for i, j in pairs)
+
+    def between(self, i: int, j: int) -> Measurement:
+        """What the edge of two scans says of T_i_j."""
+        edge = self.pool[frozenset((i, j))]
+        T = edge.T_target_source if edge.target == i else _inverse(edge.T_target_source)
+        return Measurement(T, edge.probability, edge.doubt)
+
+    def join(self) -> None:
+        """Join groups while any two are firmly connected; symmetric poses only when none are."""
+        known: dict[tuple[int, int], tuple[np.ndarray, float, float, bool]] = {}
+        while self._join_one(known, symmetric=False) or self._join_one(known, symmetric=True):
+            pass
+
+    def reconsider(self) -> bool:
+        """Move, or set apart, each scan that the rest of its group would place elsewhere."""
+        changed = False
+        for scan in range(self.count):
+            rest = [s for s in self.members(self.label[scan]) if s != scan]
+            if not rest:
+                continue
+            T, probability, none = self._relative(rest, [scan], as_new=True)
+            if none > 0.5:
+                self.label[scan] = self.next_label
+                self.next_label += 1
+                changed = True
+                continue
+            here = agree(self.poses[scan][None], T[:1], np.zeros(3), self.config)[0, 0]
+            if not here and probability[0] >= self.config.min_probability:
+                self.poses[scan] = T[0]
+                changed = True
+        return changed
+
+    def split(self) -> None:
+        """Set apart what no agreeing edge connects."""
+        labels = [-1] * self.count
+        for start in range(self.count):
+            if labels[start] >= 0:
+                continue
+            labels[start], waiting = start, [start]
+            while waiting:
+                scan = waiting.pop()
+                for other in self.neighbors[scan]:
+                    if labels[other] < 0 and self._agreeing(scan, other) >= 0:
+                        labels[other] = start
+                        waiting.append(other)
+        self.label = labels
+
+    def placement(self, edges: Sequence[Edge]) -> Placement:
+        groups = [tuple(self.members(label)) for label in dict.fromkeys(self.label)]
+        groups.sort(key=lambda group: (-len(group), group))
+        probability = np.full(self.count, np.nan)
+        poses = self.poses.copy()
+        for group in groups:
+            poses[list(group)] = _inverse(self.poses[[group[0]]]) @ self.poses[list(group)]
+            for scan in group if len(group) > 1 else ():
+                rest = [s for s in group if s != scan]
+                T, shares, _ = self._relative(rest, [scan], as_new=True)
+                here = agree(self.poses[scan][None], T, np.zeros(3), self.config)[0]
+                probability[scan] = shares[here].sum()
+        chosen = tuple(
+            self._agreeing(e.target, e.source) if len(e.probability) else -1 for e in edges
+        )
+        return Placement(tuple(groups), poses, probability, chosen)
+
+    def members(self, label: int) -> list[int]:
+        return [scan for scan in range(self.count) if self.label[scan] == label]
+
+    def _supported(self, i: int, j: int) -> float:
+        """The probability of the best pose of an edge, the paths over third scans heard."""
+        direct = self.between(i, j)
+        heard = [direct]
+        for k in sorted(self.neighbors[i] & self.neighbors[j]):
+            first, second = self.between(i, k), self.between(k, j)
+            p = (first.probability[:, None] * second.probability).ravel()
+            T = (first.T[:, None] @ second.T).reshape(-1, 4, 4)
+            heard.append(Measurement(T, p, 1.0 - float(p.sum())))
+        T, probability, _ = posterior(heard, np.zeros(3), self.config)
+        is_direct = agree(T, direct.T, np.zeros(3), self.config).any(1)
+        return float(probability[is_direct].max(initial=0.0))
+
+    def _join_one(
+        self,
+        known: dict[tuple[int, int], tuple[np.ndarray, float, float, bool]],
+        *,
+        symmetric: bool,
+    ) -> bool:
+        for _, i, j in self.order:
+            a, b = self.label[i], self.label[j]
+            if a == b:
+                continue
+            if (a, b) not in known:
+                known[a, b] = self._connection(a, b)
+            T, best, none, is_symmetric = known[a, b]
+            # Turns of a symmetric shape onto itself are equally right.
+            sure = 1.0 - none if symmetric and is_symmetric else best
+            if sure < self.config.min_probability:
+                continue
+            joined = self.members(b)
+            self.poses[joined] = T @ self.poses[joined]
+            for scan in [*self.members(a), *joined]:
+                self.label[scan] = self.next_label
+            self.next_label += 1
+            return True
+        return False
+
+    def _connection(self, a: int, b: int) -> tuple[np.ndarray, float, float, bool]:
+        one, other = self.members(a), self.members(b)
+        T, probability, none = self._relative(one, other)
+        linking = [self.pool[frozenset((i, j))] for i in one for j in self.neighbors[i] & {*other}]
+        return T[0], float(probability[0]), none, all(edge.is_symmetric for edge in linking)
+
+    def _relative(
+        self, one: Sequence[int], other: Sequence[int], *, as_new: bool = False
+    ) -> tuple[np.ndarray, np.ndarray, float]:
+        """What the edges between two sets of scans say of their frames' relative pose.
+
+        With `as_new`, the others' present poses are forgotten: each frame is its scan's own.
+        """
+        heard = []
+        for i in one:
+            for j in sorted(self.neighbors[i].intersection(other)):
+                edge = self.between(i, j)
+                back = np.eye(4) if as_new else _inverse(self.poses[j][None])[0]
+                T = self.poses[i] @ edge.T @ back
+                heard.append(Measurement(T, edge.probability, edge.doubt))
+        if not heard:
+            return np.zeros((0, 4, 4)), np.zeros(0), 1.0
+        middle = np.zeros(3) if as_new else self.poses[list(other), :3, 3].mean(0)
+        return posterior(heard, middle, self.config)
+
+    def _agreeing(self, i: int, j: int) -> int:
+        """Which pose of an edge agrees with the present ones; −1: none, or in other groups."""
+        if self.label[i] != self.label[j]:
+            return -1
+        said = self.between(i, j)
+        now = _inverse(self.poses[i][None]) @ self.poses[j]
+        fits = np.flatnonzero(agree(now, said.T, np.zeros(3), self.config)[0])
+        return int(fits[0]) if len(fits) else -1
+
+
+def _inverse(T: np.ndarray) -> np.ndarray:
+    """Inverse rigid motions (k, 4, 4)."""
+    result = np.tile(np.eye(4), (len(T), 1, 1))
+    R = T[:, :3, :3].transpose(0, 2, 1)
+    result[:, :3, :3] = R
+    result[:, :3, 3] = -np.einsum("kij,kj->ki", R, T[:, :3, 3])
+    return result

@@ -1,0 +1,117 @@
+"""The last refinement: all scans of a group at once, surface to surface."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from fullturn.geometry import rigid
+from fullturn.geometry.neighbors import NeighborIndex
+from fullturn.pose.kabsch import nearest_rotation
+from fullturn.pose.residuals import normal_equations
+
+_ROUNDS = 12
+_LEAST_SHARE = 0.03  # of a scan's points near the other: below, two scans don't overlap
+_SETTLED = 1e-5
+_DAMPING = 1e-6
+
+
+def refine_joint(
+    T_group_scan: Float[Tensor, "n 4 4"],
+    points: Sequence[Float[Tensor, "_ 3"]],
+    normals: Sequence[Float[Tensor, "_ 3"]],
+    *,
+    reach: float,
+    closest: float,
+) -> Float[Tensor, "n 4 4"]:
+    """The poses at which all overlapping surfaces lie on one another best; the first one is held.
+
+    Every scan's points are pulled towards the tangent planes of every scan that they are near, and
+    all motions are solved for together, so that errors don't add up around the object. Points
+    within `reach` count as near at first; it shrinks with the residuals down to `closest`.
+    """
+    T = T_group_scan.clone()
+    trees = [NeighborIndex(cloud) for cloud in points]
+    for _ in range(_ROUNDS):
+        H, g, sigma = _equations(T, points, normals, trees, reach)
+        if not torch.isfinite(sigma):
+            break
+        scale = H.diagonal().mean()
+        H += torch.eye(len(H), dtype=H.dtype, device=H.device) * (_DAMPING * scale + 1e-300)
+        # The first scan is the frame.
+        step = torch.zeros_like(g)
+        step[6:] = -torch.linalg.solve(H[6:, 6:], g[6:])
+        step = step.view(-1, 6).clamp(-0.1, 0.1)
+        T = rigid.exp_se3(step) @ T
+        T = rigid.make(nearest_rotation(T[:, :3, :3]), T[:, :3, 3])
+        shrunk = max(closest, min(reach, 6.0 * float(sigma)))
+        if float(step.abs().max()) < _SETTLED and shrunk > 0.9 * reach:
+            break
+        reach = shrunk
+    return T
+
+
+def _equations(
+    T: Float[Tensor, "n 4 4"],
+    points: Sequence[Tensor],
+    normals: Sequence[Tensor],
+    trees: Sequence[NeighborIndex],
+    reach: float,
+) -> tuple[Float[Tensor, "m m"], Float[Tensor, " m"], Float[Tensor, ""]]:
+    """Gauss–Newton's H and g of small motions of all scans in the common frame, and the noise.
+
+    A pair's residual depends on the difference of two motions, so its 6×6 block enters four times.
+    """
+    count = len(points)
+    found = []
+    for i in range(count):
+        for j in range(count):
+            near = None if i == j else _near(T, points, normals, trees, i, j, reach)
+            if near is not None:
+                found.append((i, j, *near))
+    H, g = T.new_zeros(count, 6, count, 6), T.new_zeros(count, 6)
+    if not found:
+        return H.view(6 * count, -1), g.view(-1), T.new_tensor(torch.inf)
+    heights = torch.cat([(difference * normal).sum(-1) for *_, difference, normal in found])
+    sigma = heights.abs().median() / 0.6745 + 1e-9
+    for i, j, at, difference, normal in found:
+        height = (difference * normal).sum(-1)
+        # Tukey: what is four deviations off doesn't belong together.
+        weight = (1.0 - (height / (4.0 * sigma)).square()).clamp_min(0).square()
+        block, pull = normal_equations(at, difference, normal, weight)
+        H[i, :, i] += block
+        H[j, :, j] += block
+        H[i, :, j] -= block
+        H[j, :, i] -= block
+        g[i] += pull
+        g[j] -= pull
+    return H.view(6 * count, -1), g.view(-1), sigma
+
+
+def _near(
+    T: Tensor,
+    points: Sequence[Tensor],
+    normals: Sequence[Tensor],
+    trees: Sequence[NeighborIndex],
+    i: int,
+    j: int,
+    reach: float,
+) -> tuple[Tensor, Tensor, Tensor] | None:
+    """Scan i's points near scan j: where, how far from their partner, and the partner's normal."""
+    T_j_i = rigid.invert(T[j]) @ T[i]
+    moved = rigid.apply(T_j_i, points[i])
+    partner, distance = trees[j].nearest(moved, within=reach)
+    near = partner >= 0
+    if float(near.double().mean()) < _LEAST_SHARE:
+        return None
+    R_i = T[i, :3, :3]
+    # Two sides of a thin wall are near one another and not the same surface.
+    own = normals[i][near] @ T_j_i[:3, :3].mT
+    other = normals[j][partner[near]]
+    alike = (own * other).sum(-1).abs() > 0.5
+    difference = (moved[near] - points[j][partner[near]])[alike] @ T[j, :3, :3].mT
+    at = points[i][near][alike] @ R_i.mT + T[i, :3, 3]
+    return at, difference, other[alike] @ T[j, :3, :3].mT

@@ -1,0 +1,146 @@
+"""One HTML file that shows a fusion: the scans, to turn on and off, the graph and its pairs."""
+
+from __future__ import annotations
+
+import colorsys
+import json
+import math
+import os
+from collections.abc import Sequence
+from importlib import resources
+from string import Template
+from typing import Any
+
+import numpy as np
+
+import fullturn
+from fullturn.fusion.picture import graph_picture
+from fullturn.fusion.result import Fusion
+from fullturn.io import load_cloud
+from fullturn.io.atomic import write_atomic
+from fullturn.viz import tables
+from fullturn.viz.payload import encode_points, middle
+from fullturn.viz.scene import apply, thin, viewing_axes
+
+_MAX_POINTS = 120_000  # of all scans together: about 1 MB
+_GOLDEN_ANGLE = 0.381966  # of the color circle: neighbors in the list differ most
+
+
+def write_fusion_report(
+    path: str | os.PathLike[str], clouds: Sequence[Any], fusion: Fusion
+) -> None:
+    """Write one self-contained HTML file that works offline; `clouds` are those that were fused.
+
+    Raises:
+        WriteError: the path cannot be written; what was there before is kept.
+    """
+    write_atomic(path, render_fusion_report(clouds, fusion))
+
+
+def render_fusion_report(clouds: Sequence[Any], fusion: Fusion) -> str:
+    """Return the page that `write_fusion_report` writes; the same input gives the same text."""
+    drawn = _drawn(clouds, fusion)
+    own, shared = (resources.files(f"fullturn.{room}") / "assets" for room in ("fusion", "viz"))
+    page = Template((own / "fuse.html").read_text(encoding="utf-8"))
+    used = sum(group >= 0 for group in fusion.group)
+    count, points = len(fusion.groups), len(fusion.points)
+    joined = "one group" if count == 1 else f"{count} groups that nothing firmly connects"
+    colors = scan_colors(len(fusion.names))
+    return page.substitute(
+        version=fullturn.__version__,
+        style=(shared / "report.css").read_text(encoding="utf-8"),
+        script=(own / "fuse.js").read_text(encoding="utf-8"),
+        title=f"{used} scans fused",
+        summary=tables.text(
+            f"{joined}, {points:,} points in the largest, {len(fusion.edges)} pairs registered "
+            f"by method {fusion.method}"
+        ),
+        # Inside a script element only "<" could end the data early.
+        scene=json.dumps(_payload(drawn, fusion, colors)).replace("<", "\\u003c"),
+        group_buttons="\n".join(
+            f'<button type="button" data-group="{n}">Group {n + 1}: {len(group)} scans</button>'
+            for n, group in enumerate(fusion.groups)
+        ),
+        drawn=f"{sum(map(len, drawn)):,} points drawn",
+        scan_rows=_scan_rows(fusion, colors),
+        notes="<ul class='notes'>"
+        + "".join(f"<li>{tables.text(note)}</li>" for note in fusion.notes)
+        + "</ul>",
+        graph=graph_picture(fusion, colors),
+        seconds_rows=tables.seconds_rows(fusion.seconds),
+        edge_rows=_edge_rows(fusion),
+    )
+
+
+def scan_colors(count: int) -> list[tuple[int, int, int]]:
+    """Distinct colors, as red, green and blue from 0 to 255."""
+    tones = [colorsys.hsv_to_rgb((0.08 + _GOLDEN_ANGLE * k) % 1.0, 0.7, 0.85) for k in range(count)]
+    return [(round(255 * r), round(255 * g), round(255 * b)) for r, g, b in tones]
+
+
+def rotation_sigma_deg(fusion: Fusion, number: int) -> float:
+    """The standard deviation of a scan's rotation, all axes together; NaN where there is none."""
+    covariance = fusion.covariance[number]
+    if covariance is None or len(fusion.groups[fusion.group[number]]) < 2:
+        return math.nan
+    return math.degrees(math.sqrt(max(0.0, float(np.trace(covariance[:3, :3])))))
+
+
+def _drawn(clouds: Sequence[Any], fusion: Fusion) -> list[np.ndarray]:
+    """Some points of each scan in the frame of its group; none of a scan that was left out."""
+    most = max(500, _MAX_POINTS // len(fusion.names))
+    return [
+        np.zeros((0, 3)) if T is None else apply(T, thin(load_cloud(cloud).points, most))
+        for cloud, T in zip(clouds, fusion.T_world_scan, strict=True)
+    ]
+
+
+def _payload(
+    drawn: Sequence[np.ndarray], fusion: Fusion, colors: Sequence[tuple[int, int, int]]
+) -> dict[str, Any]:
+    """Points in units of the largest group's radius, each group around its own middle."""
+    of_group = [np.concatenate([drawn[scan] for scan in group]) for group in fusion.groups]
+    middles = [middle(points) for points in of_group]
+    radius = max(float(np.abs(p - m).max()) for p, m in zip(of_group, middles, strict=True)) or 1.0
+    return {
+        "camera": viewing_axes(of_group[0] - middles[0]).ravel().tolist(),
+        "dot": 0.006,
+        "scans": [
+            {
+                **encode_points(points, middles[group] if group >= 0 else np.zeros(3), radius),
+                "color": list(color),
+            }
+            for points, group, color in zip(drawn, fusion.group, colors, strict=True)
+        ],
+    }
+
+
+def _scan_rows(fusion: Fusion, colors: Sequence[tuple[int, int, int]]) -> str:
+    rows = []
+    for number, (name, group) in enumerate(zip(fusion.names, fusion.group, strict=True)):
+        state = "disabled" if group < 0 else "checked" if group == 0 else ""
+        sigma = rotation_sigma_deg(fusion, number)
+        alone = group >= 0 and len(fusion.groups[group]) == 1
+        said = "alone" if alone else tables.probability(fusion.probability[number])
+        rows.append(
+            f'<tr><th><label><input type="checkbox" data-scan="{number}" data-group="{group}" '
+            f'{state}> <i style="background:rgb{colors[number]}"></i>{tables.text(name)}</label>'
+            f"</th><td>{group + 1 if group >= 0 else 'left out'}</td><td>{said}</td>"
+            f"<td>{'' if math.isnan(sigma) else f'{sigma:.2f}'}</td></tr>"
+        )
+    return "\n".join(rows)
+
+
+def _edge_rows(fusion: Fusion) -> str:
+    rows = []
+    for edge in fusion.edges:
+        names = (tables.text(fusion.names[scan]) for scan in (edge.target, edge.source))
+        ranked = " ".join(tables.probability(p) for p in edge.probability[:4])
+        rows.append(
+            "<tr>"
+            + "".join(f"<td>{name}</td>" for name in names)
+            + f"<td>{ranked or tables.text(edge.error or '')}</td>"
+            + f"<td>{'none' if edge.chosen < 0 else edge.chosen + 1}</td>"
+            + "<td>{:.0%} {:.0%}</td></tr>".format(*edge.overlap)
+        )
+    return "\n".join(rows)
