@@ -23,21 +23,32 @@ format: $(VENV)/.installed
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-# Everything in results/ and the numbers of the README, again. Needs `pip install ".[baselines]"` and
-# DATA, the folder of the data packs; goes on where it was interrupted.
+# Everything in results/ and the numbers of the README and docs/limits.md, again. Needs
+# `pip install ".[baselines,data]"` and DATA, the folder of the data packs; goes on where it was
+# interrupted.
+MVP_RG ?= runs/mvp-rg
+METHODS := consensus consensus-histogram icp gicp ransac fgr kiss
+RUNS := modelnet scans mvp-rg mvp-rg-blind calibration ransac-4m
 results: $(VENV)/.installed
-	$(BIN)/fullturn evaluate --out results/modelnet --method consensus icp gicp ransac fgr kiss \
+	$(BIN)/fullturn build mvp-rg --out $(MVP_RG) \
+		--shapes $(DATA)/meshes_open.npz $(DATA)/meshes_research.npz
+	$(BIN)/fullturn evaluate --out results/modelnet --method $(METHODS) \
 		--protocol all --shapes $(DATA)/modelnet40_subset.npz:dev_eval
-	$(BIN)/fullturn evaluate --out results/scans --method consensus icp gicp ransac fgr kiss \
+	$(BIN)/fullturn evaluate --out results/scans --method $(METHODS) \
 		--pairs $(DATA)/stanford_scans
+	$(BIN)/fullturn evaluate --out results/mvp-rg --method $(METHODS) --pairs $(MVP_RG)
+	$(BIN)/fullturn evaluate --out results/mvp-rg-blind --method consensus --blind \
+		--pairs $(MVP_RG)
 	$(BIN)/fullturn evaluate --out results/calibration --method consensus \
 		--protocol mixture --shapes procedural:100000:1000 --count 600 --seed 1000
 	$(BIN)/fullturn evaluate --out results/ransac-4m --method ransac-4m \
 		--protocol modelnet40/clean/180 modelnet40/noisy/180 geotransformer/180 \
 		--shapes $(DATA)/modelnet40_subset.npz:dev_eval
-	for run in modelnet scans calibration ransac-4m; do \
+	for run in $(RUNS); do \
 		$(BIN)/fullturn table results/$$run --out results/$$run || exit 1; done
 	$(BIN)/python benchmarks/speed.py
+	$(BIN)/python benchmarks/covariance.py --data $(DATA)
+	$(BIN)/python benchmarks/limits.py $(RUNS:%=results/%) --data $(DATA) $(dir $(MVP_RG))
 	$(BIN)/python benchmarks/readme.py
 
 # The file marks a finished installation, so that the second run is quick and a broken one repeats.

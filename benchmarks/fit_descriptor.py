@@ -29,6 +29,7 @@ from torch import Tensor
 from fullturn.data.mixture import mixed_pair
 from fullturn.data.shapes import MeshPack, MeshSource, ProceduralShapes
 from fullturn.errors import FullturnError
+from fullturn.features.surface import distances
 from fullturn.nn.surface import SurfaceNet
 from fullturn.normalize import normalized_clouds
 from fullturn.pose.search import coarse_and_fine
@@ -113,7 +114,9 @@ def fit(args: argparse.Namespace) -> None:
     with torch.no_grad():
         for row in rows + held_out:
             for cloud in row["clouds"]:
-                told = network.surroundings(cloud["points"], cloud["normals"], cloud["area"])
+                told = network.surroundings(
+                    cloud["points"], cloud["normals"], cloud["area"], distances(cloud["points"])
+                )
                 cloud["told"] = told.half()
         some = torch.cat([row["clouds"][0]["told"].float() for row in rows[:400]])
         network.mean.copy_(some.mean(0))
@@ -170,7 +173,7 @@ def fit(args: argparse.Namespace) -> None:
 
 
 def describe(network: SurfaceNet, cloud: dict[str, Tensor]) -> Tensor:
-    return network.describe(cloud["told"].float(), cloud["points"], cloud["area"])
+    return network.describe(cloud["told"].float(), cloud["area"], distances(cloud["points"]))
 
 
 def pair_loss(network: SurfaceNet, row: dict[str, Any], rng: np.random.Generator) -> Tensor | None:

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from fullturn.data.shapes import ProceduralShapes
 from fullturn.errors import ReadError
-from fullturn.features.surface import shell_counts
+from fullturn.features.surface import distances, shell_counts
 from fullturn.geometry import rigid
 from fullturn.geometry.normals import estimate_normals
 from fullturn.geometry.sampling import local_area, point_spacing
@@ -55,8 +55,9 @@ def test_signed_counts_agree_with_counting_by_hand() -> None:
     points, normals, area = (part.double() for part in cloud(40))
     radius, shells, bins, power = 0.8, 4, 5, 0.7
     found = shell_counts(
-        points, normals, area, radius=radius, shells=shells, bins=bins, signed=True, power=power
-    )
+        points, normals, area, distances(points),
+        radius=radius, shells=shells, bins=bins, signed=True, power=power,
+    )  # fmt: skip
 
     def soft(position: float, count: int) -> Tensor:
         place = np.interp(position, np.arange(count), np.arange(count))
@@ -81,7 +82,7 @@ def test_context_are_means_over_shells() -> None:
     points, _, area = (part.double() for part in cloud(30))
     values = torch.randn(30, 2, generator=torch.Generator().manual_seed(0)).double()
     radius, shells = 1.0, 3
-    found = surface._shell_means(points, area, values, radius=radius, shells=shells)
+    found = surface._shell_means(values, area, distances(points), radius=radius, shells=shells)
     for i in range(30):
         distance = (points - points[i]).norm(dim=1)
         for shell in range(shells):

@@ -24,7 +24,7 @@ _COLUMNS: dict[str, tuple[str, int | str]] = {
     "mean t": ("mean_translation_error", 4),
     "mean distance": ("mean_mean_point_distance", 4),
 }
-_MAIN_COLUMNS = ("mean °", "median °", "<5° %", "right %", "said %")
+_MAIN_COLUMNS = ("mean °", "median °", "<5° %", "right %", "geometric %", "said %")
 _PAPER_COLUMNS = {
     "mean °": "rotation_error_deg",
     "mean t": "translation_error",

@@ -25,8 +25,9 @@ def surface_histogram(
     a dot product compares two of them. `radius` is in the unit of the points; the caller gives it
     as a multiple of their spacing, which makes the result independent of scale.
     """
-    counts = shell_counts(points, normals, area, radius=radius, shells=shells, bins=bins)
-    counts = counts.flatten(1)
+    counts = shell_counts(
+        points, normals, area, distances(points), radius=radius, shells=shells, bins=bins
+    ).flatten(1)
     return (counts / counts.sum(-1, keepdim=True).clamp_min(1e-12)).sqrt_()
 
 
@@ -34,6 +35,7 @@ def shell_counts(
     points: Float[Tensor, "n 3"],
     normals: Float[Tensor, "n 3"],
     area: Float[Tensor, " n"],
+    distance: Float[Tensor, "n n"],
     *,
     radius: float,
     shells: int,
@@ -47,10 +49,9 @@ def shell_counts(
     cos ∠(nⱼ, d) and cos ∠(nᵢ, nⱼ), or their absolute values unless `signed`, are counted in shells
     of (|d|/radius)^`power`. Membership is linear between bin centers, in distance and in angle, so
     noise moves counts smoothly, and each point j counts with the `area` that it stands for, so that
-    dense parts don't drown the others. Cost: n².
+    dense parts don't drown the others. `distance` are the `distances` of the points. Cost: n².
     """
     points = points - points.mean(0)
-    distance = torch.cdist(points, points, compute_mode="donot_use_mm_for_euclid_dist")
     own = normals @ points.T
     own -= (normals * points).sum(-1, keepdim=True)
     own *= distance.clamp_min(1e-12).reciprocal_()
@@ -80,6 +81,12 @@ def shell_counts(
     parts = torch.cat([total.unsqueeze(-2).expand(-1, -1, 3, -1), parts], -1)
     # Differences of sums: what should be zero may be a little less.
     return between_ramps(parts, -1).clamp_min_(0).flatten(-2)
+
+
+def distances(points: Float[Tensor, "n 3"]) -> Float[Tensor, "n n"]:
+    """Between any two points; exact for near ones."""
+    points = points - points.mean(0)
+    return torch.cdist(points, points, compute_mode="donot_use_mm_for_euclid_dist")
 
 
 def shell_position(

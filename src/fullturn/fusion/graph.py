@@ -68,7 +68,8 @@ def posterior(
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """Distinct relative poses (h, 4, 4) with their probabilities (h,), best first, and none's.
 
-    Poses agree within the tolerances, the shift taken at the point `at` (3,).
+    Poses agree within the tolerances, the shift taken at the point `at` (3,); each one that is
+    returned is the mean of those that agree with it.
     """
     T = np.concatenate([m.T for m in measurements])
     p = np.concatenate([m.probability for m in measurements])
@@ -86,7 +87,18 @@ def posterior(
     log = np.array([*weight[kept], doubt.sum()])
     share = np.exp(log - log.max())
     share /= share.sum()
-    return hypotheses[kept], share[:-1], float(share[-1])
+    means = np.stack([_mean(T, agreeing[number], at) for number in kept])
+    return means, share[:-1], float(share[-1])
+
+
+def _mean(T: np.ndarray, weight: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """The weighted mean of poses (m, 4, 4) that are nearly the same, its shift taken at `at`."""
+    share = weight / weight.sum()
+    U, _, Vt = np.linalg.svd(np.tensordot(share, T[:, :3, :3], 1))
+    result = np.eye(4)
+    result[:3, :3] = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
+    result[:3, 3] = share @ (T[:, :3, :3] @ at + T[:, :3, 3]) - result[:3, :3] @ at
+    return result
 
 
 def agree(one: np.ndarray, other: np.ndarray, at: np.ndarray, config: GraphConfig) -> np.ndarray:

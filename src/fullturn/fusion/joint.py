@@ -103,7 +103,7 @@ def _near(
     """Scan i's points near scan j: where, how far from their partner, and the partner's normal."""
     T_j_i = rigid.invert(T[j]) @ T[i]
     moved = rigid.apply(T_j_i, points[i])
-    partner, distance = trees[j].nearest(moved, within=reach)
+    partner, _ = trees[j].nearest(moved, within=reach)
     near = partner >= 0
     if float(near.double().mean()) < _LEAST_SHARE:
         return None

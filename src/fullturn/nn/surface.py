@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from fullturn.errors import ReadError, one_line
-from fullturn.features.surface import between_ramps, ramps, shell_counts, shell_position
+from fullturn.features.surface import between_ramps, distances, ramps, shell_counts, shell_position
 
 
 @dataclass(frozen=True)
@@ -76,13 +76,15 @@ class SurfaceNet(nn.Module):
     ) -> Float[Tensor, "n c"]:
         """`spacing` is that of the points, in their unit."""
         points = (points - points.mean(0)) / spacing
-        return self.describe(self.surroundings(points, normals, area), points, area)
+        distance = distances(points)
+        return self.describe(self.surroundings(points, normals, area, distance), area, distance)
 
     def surroundings(
         self,
         points: Float[Tensor, "n 3"],
         normals: Float[Tensor, "n 3"],
         area: Float[Tensor, " n"],
+        distance: Float[Tensor, "n n"],
     ) -> Float[Tensor, "n i"]:
         """What the network is told of each point; no weights of it take part."""
         config = self.config
@@ -90,6 +92,7 @@ class SurfaceNet(nn.Module):
             points,
             normals,
             area,
+            distance,
             radius=config.radius,
             shells=config.shells,
             bins=config.bins,
@@ -102,33 +105,32 @@ class SurfaceNet(nn.Module):
     def describe(
         self,
         surroundings: Float[Tensor, "n i"],
-        points: Float[Tensor, "n 3"],
         area: Float[Tensor, " n"],
+        distance: Float[Tensor, "n n"],
     ) -> Float[Tensor, "n c"]:
-        """Descriptors from surroundings; points in units of their spacing."""
+        """Descriptors from surroundings; distances between the points, in their spacing."""
         own = self.own((surroundings - self.mean) / self.deviation)
         offered = self.offered(own)
         around = _shell_means(
-            points, area, offered, radius=self.config.radius, shells=self.config.context_shells
+            offered, area, distance, radius=self.config.radius, shells=self.config.context_shells
         )
         return functional.normalize(self.both(torch.cat([own, around], -1)), dim=-1)
 
 
 def _shell_means(
-    points: Float[Tensor, "n 3"],
-    area: Float[Tensor, " n"],
     values: Float[Tensor, "n c"],
+    area: Float[Tensor, " n"],
+    distance: Float[Tensor, "n n"],
     *,
     radius: float,
     shells: int,
 ) -> Float[Tensor, "n k"]:
     """Means of the neighbors' values over shells, each neighbor counting with its area."""
-    n = len(points)
+    n = len(distance)
     with torch.no_grad():
-        distance = torch.cdist(points, points, compute_mode="donot_use_mm_for_euclid_dist")
         weight = area * (distance < radius)
         shell = shell_position(distance, radius=radius, shells=shells, power=1.0)
-        share = ramps(shell, shells, out=points.new_empty(n, shells, n)).mul_(weight.unsqueeze(1))
+        share = ramps(shell, shells, out=distance.new_empty(n, shells, n)).mul_(weight.unsqueeze(1))
     summed = share.flatten(0, 1) @ torch.cat([values, values.new_ones(n, 1)], 1)
     summed = between_ramps(summed.view(n, shells, -1), 1)
     return (summed[..., :-1] / summed[..., -1:].clamp_min(1e-3)).flatten(1)

@@ -54,8 +54,8 @@ def seeded_poses(
 
     Second-order agreement counts, for two compatible matches, the matches compatible with both
     (Chen et al., "SC²-PCR", CVPR 2022): right matches share many, wrong ones few, which finds
-    consistent sets even where most matches are wrong and several modes exist side by side. One match
-    in three is counted: which ones share a motion shows as well.
+    consistent sets even where most matches are wrong and several modes exist side by side. One
+    match in three is counted: which ones share a motion shows as well.
     """
     count = len(matches.source)
     compatible = (agreement > 0.3).to(agreement.dtype)

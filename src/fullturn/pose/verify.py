@@ -45,14 +45,14 @@ _SEEN = (
 )
 _PAIR = ("log_points",)  # of the smaller cloud, natural logarithm
 # Of coarse points that are near, by the descriptor network; NaN where there is none.
-_AGREEMENT = (
+AGREEMENT = (
     "alike",  # mean similarity of a point and its partner
     "unlike",  # mean of how much more alike the most similar point of the other cloud is
 )
 _CONFLICT_REACH = 0.25  # normalized
 _RAW = _LOGARITHMIC + _LINEAR
 MEASURED = _RAW + tuple(f"{name}_sides" for name in _SIDED) + _SEEN + _PAIR
-FEATURES = MEASURED + _AGREEMENT
+FEATURES = MEASURED + AGREEMENT
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +127,7 @@ def agreement(
     """
     k = len(T_target_source)
     if alike is None:
-        return T_target_source.new_full((k, len(_AGREEMENT)), math.nan)
+        return T_target_source.new_full((k, len(AGREEMENT)), math.nan)
     R, t = T_target_source[:, :3, :3], T_target_source[:, None, :3, 3]
     sums = T_target_source.new_zeros(k, 3)
     for moved, area, grid, similarity in (

@@ -1,0 +1,82 @@
+"""`fullturn fuse`: files, table, one JSON object, errors of one line."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from typer.testing import CliRunner
+
+from fullturn.cli.main import build_app
+from fullturn.io import load_cloud, save_cloud
+
+pytest.importorskip("gtsam")
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> list[str]:
+    """Three scans nearly aligned, so that plain ICP registers them."""
+    u = np.random.default_rng(0).normal(size=(600, 3))
+    u /= np.linalg.norm(u, axis=1, keepdims=True)
+    cloud = u * (1 + 0.3 * np.sin(3 * u[:, :1] + 1) + 0.2 * u[:, 1:2] * u[:, 2:]) * (1.0, 0.8, 0.6)
+    paths = []
+    for number in range(3):
+        R = Rotation.from_rotvec([0.1 * number, -0.05, 0.02 * number]).as_matrix()
+        paths.append(str(tmp_path / f"scan{number}.ply"))
+        save_cloud(paths[-1], cloud[: 600 - 5 * number] @ R.T + number)
+    return paths
+
+
+def call(*arguments: object) -> tuple[int, str, str]:
+    result = CliRunner().invoke(build_app(), ["fuse", *map(str, arguments)])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result.exit_code, result.stdout, result.stderr
+
+
+def test_outputs_and_one_json_object(files: list[str], tmp_path: Path) -> None:
+    merged, poses, report = (tmp_path / name for name in ("m.ply", "poses.json", "r.html"))
+    options = ["--method", "icp-point", "--min-probability", 0.01, "--workers", 1, "--json"]
+    options += ["--cache", tmp_path / "cache", "--poses", poses, "--report", report]
+    code, out, _ = call(*files, "--out", merged, *options)
+    assert code == 0
+    content = json.loads(out)
+    assert [scan["path"] for scan in content["scans"]] == files
+    assert content["points"] == len(load_cloud(merged).points)
+    assert json.loads(poses.read_text())["scans"] == content["scans"]
+    assert report.read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
+    assert len(content["edges"]) == 3
+    assert (tmp_path / "cache" / "edges.jsonl").exists()
+
+
+def test_people_get_a_table(files: list[str], tmp_path: Path) -> None:
+    code, out, _ = call(
+        *files, "--out", tmp_path / "m.xyz", "--method", "icp-point", "--workers", 1
+    )
+    assert code == 0
+    for word in ("scan0.ply", "scan2.ply", "probability", "group", "points in"):
+        assert word in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["{scan}", "--out", "{folder}/m.ply"], "at least 2"),
+        (["{scan}", "{scan}", "--out", "{folder}/m.ply"], "same points"),
+        (["{scan}", "{folder}/none.ply", "--out", "{folder}/m.ply"], "there is none"),
+        (["{scan}", "{scan}", "--out", "{folder}/m.jpg"], ".ply, .npy"),
+        (["{scan}", "{scan}", "--out", "{folder}/m.ply", "--poses", "p.txt"], ".json"),
+    ],
+)
+def test_known_errors_are_one_line(
+    arguments: list[str], message: str, files: list[str], tmp_path: Path
+) -> None:
+    filled = [word.format(scan=files[0], folder=tmp_path) for word in arguments]
+    code, out, err = call(*filled)
+    assert (code, out) == (1, "")
+    assert message in err
+    assert err.count("\n") == 1
+    assert not (tmp_path / "m.ply").exists()

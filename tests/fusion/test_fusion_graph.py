@@ -1,0 +1,153 @@
+"""Which poses the cycles choose, and which scans stay apart."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+from fusion_cases import between, edge, errors, jitter, random_pose, random_poses
+
+from fullturn.fusion.edges import failed_edge
+from fullturn.fusion.graph import GraphConfig, Measurement, Placement, place_scans, posterior
+
+
+def check_poses(placement: Placement, truth: np.ndarray, *, deg: float, shift: float) -> None:
+    for group in placement.groups:
+        for scan in group:
+            angle, moved = errors(placement.T_group_scan[scan], between(truth, group[0], scan))
+            assert angle < deg
+            assert moved < shift
+
+
+def test_one_edge_gives_back_its_probabilities() -> None:
+    rng = np.random.default_rng(0)
+    p = np.array([0.5, 0.3, 0.1])
+    heard = [Measurement(random_poses(3, rng), p, 0.1)]
+    T, probability, none = posterior(heard, np.zeros(3), GraphConfig())
+    np.testing.assert_allclose(T, heard[0].T, atol=1e-12)
+    # The doubt also speaks beside each pose, at ε of its weight.
+    np.testing.assert_allclose(probability, p, atol=0.02)
+    assert none == pytest.approx(0.1, abs=0.02)
+
+
+def test_edges_that_agree_raise_each_other_and_contradiction_lowers() -> None:
+    rng = np.random.default_rng(1)
+    T, other = random_pose(rng)[None], random_pose(rng)[None]
+    one = Measurement(T, np.array([0.6]), 0.4)
+    agreeing = Measurement(jitter(T, rng, deg=2, shift=0.01), np.array([0.4]), 0.6)
+    against = Measurement(other, np.array([0.95]), 0.05)
+    alone, both, contested = (
+        posterior(heard, np.zeros(3), GraphConfig())[1]
+        for heard in ([one], [one, agreeing], [one, against])
+    )
+    assert both[0] > 0.9 > alone[0]
+    assert contested.sum() <= 1.0
+    assert contested[0] > 0.5  # of the other pose
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_cycles_decide_between_alternatives(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    truth = random_poses(7, rng)
+    flip = np.diag([-1.0, -1.0, 1.0, 1.0])
+    edges = []
+    for i, j in combinations(range(7), 2):
+        T = jitter(between(truth, i, j), rng, deg=1.0, shift=0.01)
+        # Sure ones along a path; of the others the wrong pose comes first.
+        if j == i + 1:
+            edges.append(edge(i, j, [T], [0.95]))
+        else:
+            edges.append(edge(i, j, [T @ flip, T, random_pose(rng)], [0.5, 0.4, 0.02]))
+    placement = place_scans(7, edges)
+    assert placement.groups == (tuple(range(7)),)
+    check_poses(placement, truth, deg=8.0, shift=0.1)
+    assert all(
+        chosen == (0 if e.source == e.target + 1 else 1)
+        for e, chosen in zip(edges, placement.chosen, strict=True)
+    )
+    assert (placement.probability > 0.9).all()
+
+
+def test_only_unsure_edges_still_find_the_common_truth() -> None:
+    rng = np.random.default_rng(5)
+    truth = random_poses(6, rng)
+    edges = [
+        edge(i, j, [random_pose(rng), between(truth, i, j)], [0.4, 0.35])
+        for i, j in combinations(range(6), 2)
+    ]
+    # Nothing alone is firm enough, so nothing is joined: an honest answer.
+    assert all(len(group) == 1 for group in place_scans(6, edges).groups)
+    edges[0] = edge(0, 1, [between(truth, 0, 1)], [0.9])
+    placement = place_scans(6, edges)
+    assert placement.groups[0] == tuple(range(6))
+    check_poses(placement, truth, deg=0.1, shift=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_wrong_confident_edge_is_rejected(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    truth = random_poses(5, rng)
+    edges = [
+        edge(i, j, [jitter(between(truth, i, j), rng, deg=1, shift=0.01)], [0.93])
+        for i, j in combinations(range(5), 2)
+    ]
+    edges[0] = edge(0, 1, [random_pose(rng)], [0.99])
+    placement = place_scans(5, edges)
+    assert placement.groups == (tuple(range(5)),)
+    assert placement.chosen[0] == -1
+    assert set(placement.chosen[1:]) == {0}
+    check_poses(placement, truth, deg=6.0, shift=0.1)
+
+
+def test_unsure_edges_between_two_objects_join_nothing() -> None:
+    rng = np.random.default_rng(3)
+    truth = random_poses(9, rng)
+    edges = [failed_edge(0, 8, "no answer")]
+    for i, j in combinations(range(8), 2):
+        if (i < 5) == (j < 5):
+            edges.append(edge(i, j, [between(truth, i, j)], [0.9]))
+        else:
+            edges.append(edge(i, j, [random_pose(rng) for _ in range(3)], [0.3, 0.1, 0.05]))
+    placement = place_scans(9, edges)
+    assert placement.groups == ((0, 1, 2, 3, 4), (5, 6, 7), (8,))
+    assert placement.chosen[0] == -1
+    assert np.isnan(placement.probability[8])
+    check_poses(placement, truth, deg=0.1, shift=1e-6)
+
+
+def test_turns_of_a_symmetric_shape_join_but_mere_doubt_does_not() -> None:
+    rng = np.random.default_rng(0)
+    T = random_pose(rng)
+    rivals = [T, T @ np.diag([-1.0, -1.0, 1.0, 1.0])]
+    for is_symmetric in (True, False):
+        placement = place_scans(2, [edge(0, 1, rivals, [0.49, 0.48], is_symmetric=is_symmetric)])
+        assert (len(placement.groups) == 1) == is_symmetric
+    joined = place_scans(2, [edge(0, 1, rivals, [0.49, 0.48], is_symmetric=True)])
+    assert joined.probability[1] == pytest.approx(0.5, abs=0.05)  # honest about which turn it is
+
+
+def test_the_order_of_scans_changes_no_groups() -> None:
+    rng = np.random.default_rng(11)
+    truth = random_poses(8, rng)
+    edges = []
+    for i, j in combinations(range(8), 2):
+        wrong = random_pose(rng)
+        same = (i < 4) == (j < 4)
+        poses = [between(truth, i, j), wrong] if same else [wrong]
+        edges.append(edge(i, j, poses, [0.7, 0.2] if same else [0.2]))
+    groups = {frozenset(group) for group in place_scans(8, edges).groups}
+    order = rng.permutation(8)
+    renamed = [
+        edge(int(order[e.target]), int(order[e.source]), e.T_target_source, e.probability)
+        for e in edges
+    ]
+    back = np.argsort(order)
+    again = place_scans(8, renamed).groups
+    assert {frozenset(int(back[s]) for s in group) for group in again} == groups
+
+
+def test_scans_without_edges_are_alone() -> None:
+    placement = place_scans(3, [])
+    assert placement.groups == ((0,), (1,), (2,))
+    np.testing.assert_array_equal(placement.T_group_scan, np.tile(np.eye(4), (3, 1, 1)))
