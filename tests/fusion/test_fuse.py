@@ -269,9 +269,7 @@ def test_virtual_scans_come_together_end_to_end() -> None:
         T = fusion.T_world_scan[number]
         assert T is not None
         # The same points in the object's frame and in the camera's give the true pose.
-        T_object = [
-            _fit(views[k].points_camera, views[k].points_object) for k in (group[0], number)
-        ]
+        T_object = [fit(views[k].points_camera, views[k].points_object) for k in (group[0], number)]
         angle, shift = errors(T, np.linalg.inv(T_object[0]) @ T_object[1])
         assert angle < 2.0
         assert shift < 0.1

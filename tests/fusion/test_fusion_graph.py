@@ -116,6 +116,19 @@ def test_unsure_edges_between_two_objects_join_nothing() -> None:
     check_poses(placement, truth, deg=0.1, shift=1e-6)
 
 
+def test_weak_edges_that_share_a_mistake_join_nothing() -> None:
+    rng = np.random.default_rng(7)
+    truth = random_poses(6, rng)
+    flip = random_pose(rng)
+    mistaken = np.stack([T if scan < 4 else flip @ T for scan, T in enumerate(truth)])
+    edges = []
+    for i, j in combinations(range(6), 2):
+        sure = (i < 4) == (j < 4)
+        edges.append(edge(i, j, [between(mistaken, i, j)], [0.9 if sure else 0.3]))
+    placement = place_scans(6, edges)
+    assert placement.groups == ((0, 1, 2, 3), (4, 5))
+
+
 def test_turns_of_a_symmetric_shape_join_but_mere_doubt_does_not() -> None:
     rng = np.random.default_rng(0)
     T = random_pose(rng)

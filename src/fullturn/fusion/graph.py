@@ -24,9 +24,13 @@ class GraphConfig:
 
     tolerance_deg: float = 12.0  # two poses agree within this angle
     tolerance: float = 0.12  # … and this shift, in units of the fusion
-    chance: float = 0.05  # ε; far above a random pose's, for wrong poses of alike scans agree too
+    chance: float = 0.1  # ε; far above a random pose's, for wrong poses of alike scans agree too
     least_doubt: float = 0.02  # of any edge, however sure it is
     min_probability: float = 0.8  # to join two groups
+    # … by one firm edge at least: many weak ones often share one mistake, as on shapes that are
+    # nearly symmetric. It doubts no more than this, and gives the pose at least this probability.
+    most_doubt: float = 0.3
+    least_share: float = 0.2
     sweeps: int = 4
 
 
@@ -184,7 +188,7 @@ class _Graph:
                 rest = [s for s in group if s != scan]
                 T, shares, _ = self._relative(rest, [scan], as_new=True)
                 here = agree(self.poses[scan][None], T, np.zeros(3), self.config)[0]
-                probability[scan] = shares[here].sum()
+                probability[scan] = min(1.0, float(shares[here].sum()))  # rounding alone exceeds it
         chosen = tuple(
             self._agreeing(e.target, e.source) if len(e.probability) else -1 for e in edges
         )
@@ -233,9 +237,17 @@ class _Graph:
 
     def _connection(self, a: int, b: int) -> tuple[np.ndarray, float, float, bool]:
         one, other = self.members(a), self.members(b)
-        T, probability, none = self._relative(one, other)
+        heard, middle = self._heard(one, other)
+        T, probability, none = posterior(heard, middle, self.config)
+        if not any(self._is_firm(m, T[0], middle) for m in heard):
+            return T[0], 0.0, 1.0, False
         linking = [self.pool[frozenset((i, j))] for i in one for j in self.neighbors[i] & {*other}]
         return T[0], float(probability[0]), none, all(edge.is_symmetric for edge in linking)
+
+    def _is_firm(self, said: Measurement, T: np.ndarray, at: np.ndarray) -> bool:
+        here = agree(T[None], said.T, at, self.config)[0]
+        share = float(said.probability[here].sum())
+        return said.doubt <= self.config.most_doubt and share >= self.config.least_share
 
     def _relative(
         self, one: Sequence[int], other: Sequence[int], *, as_new: bool = False
@@ -244,6 +256,15 @@ class _Graph:
 
         With `as_new`, the others' present poses are forgotten: each frame is its scan's own.
         """
+        heard, middle = self._heard(one, other, as_new=as_new)
+        if not heard:
+            return np.zeros((0, 4, 4)), np.zeros(0), 1.0
+        return posterior(heard, middle, self.config)
+
+    def _heard(
+        self, one: Sequence[int], other: Sequence[int], *, as_new: bool = False
+    ) -> tuple[list[Measurement], np.ndarray]:
+        """The edges between two sets of scans, between their frames, and the others' middle."""
         heard = []
         for i in one:
             for j in sorted(self.neighbors[i].intersection(other)):
@@ -251,10 +272,8 @@ class _Graph:
                 back = np.eye(4) if as_new else _inverse(self.poses[j][None])[0]
                 T = self.poses[i] @ edge.T @ back
                 heard.append(Measurement(T, edge.probability, edge.doubt))
-        if not heard:
-            return np.zeros((0, 4, 4)), np.zeros(0), 1.0
         middle = np.zeros(3) if as_new else self.poses[list(other), :3, 3].mean(0)
-        return posterior(heard, middle, self.config)
+        return heard, middle
 
     def _agreeing(self, i: int, j: int) -> int:
         """Which pose of an edge agrees with the present ones; −1: none, or in other groups."""

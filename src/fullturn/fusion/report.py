@@ -134,11 +134,10 @@ def _scan_rows(fusion: Fusion, colors: Sequence[tuple[int, int, int]]) -> str:
 def _edge_rows(fusion: Fusion) -> str:
     rows = []
     for edge in fusion.edges:
-        names = (tables.text(fusion.names[scan]) for scan in (edge.target, edge.source))
+        target, source = (tables.text(fusion.names[n]) for n in (edge.target, edge.source))
         ranked = " ".join(tables.probability(p) for p in edge.probability[:4])
         rows.append(
-            "<tr>"
-            + "".join(f"<td>{name}</td>" for name in names)
+            f"<tr><th>{target}</th><td>{source}</td>"
             + f"<td>{ranked or tables.text(edge.error or '')}</td>"
             + f"<td>{'none' if edge.chosen < 0 else edge.chosen + 1}</td>"
             + "<td>{:.0%} {:.0%}</td></tr>".format(*edge.overlap)
