@@ -12,7 +12,7 @@ from fullturn.pose.kabsch import weighted_kabsch
 
 # Poses scored at once: their transformed points then stay in the processor's cache.
 _POSES_AT_ONCE = 128
-_COUNTED = 3  # one in so many matches counts for the agreement of two others
+_COUNTED = 5  # one in so many matches counts for the agreement of two others
 
 
 def compatibility(
@@ -55,7 +55,7 @@ def seeded_poses(
     Second-order agreement counts, for two compatible matches, the matches compatible with both
     (Chen et al., "SC²-PCR", CVPR 2022): right matches share many, wrong ones few, which finds
     consistent sets even where most matches are wrong and several modes exist side by side. One
-    match in three is counted: which ones share a motion shows as well.
+    match in five is counted: it finds as much.
     """
     count = len(matches.source)
     compatible = (agreement > 0.3).to(agreement.dtype)

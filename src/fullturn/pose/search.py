@@ -28,6 +28,11 @@ _LIMIT_SLACK_RAD = math.radians(15.0)
 LIMIT_EDGE_RAD = math.radians(3.0)
 
 
+# So many points of a cloud are enough to tell a thousand poses apart, and to draw the best of them
+# to where they belong.
+_SCORED_POINTS, _REFINED_POINTS = 100, 200
+
+
 @dataclass(frozen=True)
 class SearchConfig:
     """How wide the search is. Lengths are in point spacings of the level they are used at."""
@@ -36,7 +41,6 @@ class SearchConfig:
     verify_points: int = 2048  # per cloud, for the last refinement and the verdict
     match_limit: int = 1000
     length_tolerance: float = 2.5  # between two matches of one rigid motion
-    score_truncation: float = 2.0
     modes: int = 64  # distinct poses refined on the coarse level
     mode_radius: float = 2.0  # RMS displacement that makes two poses distinct
     finalists: int = 32  # distinct poses measured for the verdict
@@ -170,8 +174,9 @@ def _refine_on_grids(
     pair: LevelPair, grids: list[NearestGrid], T: Tensor, config: SearchConfig, clock: _Clock
 ) -> Tensor:
     h, source, target = pair.spacing, pair.source.points, pair.target.points
+    some = _one_in(source, about=_SCORED_POINTS)
     scores = hypotheses.score_poses(
-        source[::4], pair.source.area[::4], grids[1], T, truncation=2 * h
+        source[some], pair.source.area[some], grids[1], T, truncation=2 * h
     )
     coordinates = hypotheses.pose_coordinates(T, source)
     kept = hypotheses.distinct(
@@ -180,8 +185,8 @@ def _refine_on_grids(
     clock.lap("score")
     T = refine_poses(
         T[kept],
-        source[::4],
-        target[::4],
+        source[_one_in(source, about=_REFINED_POINTS)],
+        target[_one_in(target, about=_REFINED_POINTS)],
         *grids,
         scales=(3 * h,) * 3 + (2.5 * h,) * 3 + (2 * h,) * 3,
     )
@@ -198,6 +203,11 @@ def _refine_on_grids(
     T = T[kept[both[kept] >= config.finalist_share * both.amax()]]
     clock.lap("refine")
     return T
+
+
+def _one_in(points: Tensor, *, about: int) -> slice:
+    """Rows, evenly over all of them."""
+    return slice(None, None, max(1, round(len(points) / about)))
 
 
 def _polish(pair: LevelPair, T: Tensor) -> Tensor:
