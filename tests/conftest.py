@@ -13,6 +13,7 @@ ROOMS = (
     "evaluation",
     *("methods.consensus", "methods.classical", "methods.external", "methods.learned"),
     *("methods.check", "methods.own"),
+    *(f"fusion.{name}" for name in ("likely", "joint", "graph", "optimize")),
 )
 
 # The front door, the files and the command line answer wrong types themselves, by named errors.

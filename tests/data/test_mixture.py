@@ -1,12 +1,16 @@
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from fullturn.data import mixture
 from fullturn.data.mixture import KINDS, MixedPairs, mixed_pair
 from fullturn.data.motion import move
 from fullturn.data.overlap import scan_overlap
+from fullturn.data.pair import Pair
 from fullturn.data.random_sensor import random_sensor
 from fullturn.data.sensor import Sensor
 from fullturn.data.shapes import ProceduralShapes
@@ -59,6 +63,24 @@ def test_scans_are_various() -> None:
     # Up to a radius from the object's middle to the middle of what is seen of it.
     assert 0.7 < min(distances) < 2.0 < 3.5 < max(distances) < 6.0
     assert min(evenness) < 0.65 < 0.75 < max(evenness)
+
+
+def test_shapes_whose_views_never_overlap_enough_still_give_a_pair(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    scan_pair, asked = mixture.scan_pair, []
+
+    def demanding(*args: Any, min_overlap: float, **options: Any) -> Pair:
+        asked.append(min_overlap)
+        if min_overlap > 0.0:
+            raise InputError("expected views that overlap")
+        return scan_pair(*args, min_overlap=min_overlap, **options)
+
+    monkeypatch.setattr(mixture, "scan_pair", demanding)
+    number = next(i for i in range(99) if MixedPairs(SHAPES, count=99).group(i) == "scan")
+    assert len(mixed_pair([SHAPES], seed=0, number=number).pair.source) > 0
+    assert len(asked) == 2
+    assert asked[1] == 0.0 < asked[0]
 
 
 def test_random_sensors_keep_to_their_ranges() -> None:
