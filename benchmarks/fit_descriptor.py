@@ -26,15 +26,15 @@ import torch
 from safetensors.torch import save_file
 from torch import Tensor
 
+from free_shapes import DATA, free_shapes
 from fullturn.data.mixture import mixed_pair
-from fullturn.data.shapes import MeshPack, MeshSource, ProceduralShapes
+from fullturn.data.shapes import MeshSource
 from fullturn.errors import FullturnError
 from fullturn.features.surface import distances
 from fullturn.nn.surface import SurfaceNet
 from fullturn.normalize import normalized_clouds
 from fullturn.pose.search import coarse_and_fine
 
-FREE_SOURCES = ("sweethome3d", "gazebo", "bullet_random")
 LEAST_POINTS = 200
 SAME, OTHER = 1.5, 4.0  # spacings: a partner, and surely none
 TEMPERATURE = 0.07
@@ -49,10 +49,7 @@ numbers.
 
 - Recipe: `benchmarks/fit_descriptor.py`, {pairs:,} pairs, {epochs} epochs, {minutes:.0f} minutes of
   one core.
-- Data: shapes that our own generator makes, and meshes with a free licence (Sweet Home 3D: CC0 and
-  CC-BY, by the contributors listed with its furniture libraries; Gazebo models: CC-BY, copyright
-  2012 Nathan Koenig; Bullet's random objects: zlib). No ModelNet40 shape and no real scan.
-- Licence: Apache-2.0, as the package.
+{data}
 
 Of the 500 best matches of a pair, the share that is right (within two spacings), on {validation}
 pairs that were held out:
@@ -63,10 +60,7 @@ pairs that were held out:
 
 def collect(args: argparse.Namespace) -> None:
     torch.set_num_threads(1)
-    shapes: list[MeshSource] = [ProceduralShapes(100_000, seed=args.seed)]
-    if args.data:
-        pack = MeshPack(Path(args.data) / "meshes_open.npz", split="train", sources=FREE_SOURCES)
-        shapes += [pack, pack]
+    shapes = free_shapes(args.seed, args.data, meshes=2)
     args.out.mkdir(parents=True, exist_ok=True)
     for first in range(args.first, args.count, args.shard):
         path = args.out / f"levels-{args.seed}-{first:06d}.pt"
@@ -240,6 +234,7 @@ def write(
             epochs=args.epochs,
             minutes=minutes,
             validation=len(held_out),
+            data=DATA,
             scores=table,
         )
     )

@@ -26,10 +26,10 @@ import torch
 from safetensors.torch import save_file
 from torch import Tensor
 
+from free_shapes import DATA, free_shapes
 from fullturn.data.mixture import KINDS, mixed_pair
 from fullturn.data.motion import axis_angle_rotation, invert, move, rigid
 from fullturn.data.pair import Pair
-from fullturn.data.shapes import MeshPack, MeshSource, ProceduralShapes
 from fullturn.errors import FullturnError
 from fullturn.evaluation.layout import Table, markdown
 from fullturn.evaluation.metrics import expected_calibration_error
@@ -50,17 +50,12 @@ Weights of the verdict between finalists (`fullturn.pose.verdict`): one hidden l
 verification measures, and a score for "none of them".
 
 - Recipe: `benchmarks/fit_verdict.py`, {count} pairs, four fifths of the shapes for the fit.
-- Data: shapes that our own generator makes, and meshes with a free licence (Sweet Home 3D: CC0 and
-  CC-BY, by the contributors listed with its furniture libraries; Gazebo models: CC-BY, copyright
-  2012 Nathan Koenig; Bullet's random objects: zlib). No ModelNet40 shape and no real scan.
-- Licence: Apache-2.0, as the package.
+{data}
 
 Scores on the fifth of the shapes that was held out:
 
 {scores}
 """
-
-FREE_SOURCES = ("sweethome3d", "gazebo", "bullet_random")
 
 
 MISSING = 0.1  # share of the features, in each step of the fit
@@ -90,11 +85,7 @@ def nearly_aligned(pair: Pair, rng: np.random.Generator) -> Pair:
 
 def collect(args: argparse.Namespace) -> None:
     torch.set_num_threads(1)
-    shapes: list[MeshSource] = [ProceduralShapes(100_000, seed=args.seed)]
-    if args.data:
-        shapes.append(
-            MeshPack(Path(args.data) / "meshes_open.npz", split="train", sources=FREE_SOURCES)
-        )
+    shapes = free_shapes(args.seed, args.data)
     args.out.mkdir(parents=True, exist_ok=True)
     for first in range(args.first, args.count, args.shard):
         kind = "dense" if args.dense else "finalists"
@@ -223,7 +214,9 @@ def fit(args: argparse.Namespace) -> None:
     tensors = {key: value.contiguous() for key, value in dataclasses.asdict(final).items()}
     save_file(tensors, args.weights, metadata={"features": json.dumps(FEATURES)})
     args.weights.chmod(0o644)
-    args.weights.with_suffix(".md").write_text(CARD.format(count=len(table.kind), scores=scores))
+    args.weights.with_suffix(".md").write_text(
+        CARD.format(count=len(table.kind), data=DATA, scores=scores)
+    )
     print("wrote", args.weights)
 
 

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import csv
-import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain, islice, zip_longest
@@ -40,6 +39,7 @@ from fullturn.methods.registry import get
 from fullturn.viz.figures import INK, SOURCE, TARGET, draw_panel, write_figure
 from fullturn.viz.scene import thin, viewing_axes
 from fullturn.viz.tables import probability
+from marked import rewrite, wrapped
 
 BEGIN, END = "<!-- limits:start -->", "<!-- limits:end -->"
 ROOT = Path(__file__).resolve().parents[1]
@@ -254,30 +254,12 @@ def draw(failures: Sequence[Failure]) -> Figure:
 def section(sets: Mapping[str, Sequence[Row]], failures: Sequence[Failure], picture: str) -> str:
     """The Markdown between the marks."""
     parts = [markdown(counts_table(sets))]
-    parts += [_wrapped(line) for line in unrelated_lines(sets)]
+    parts += [wrapped(line) for line in unrelated_lines(sets)]
     if failures:
         parts.append(f"![Wrong poses beside the true ones]({picture})\n")
         lines = enumerate((failure.line for failure in failures), start=1)
-        parts.append("".join(_wrapped(f"{number}. {line}", "   ") for number, line in lines))
+        parts.append("".join(wrapped(f"{number}. {line}", indent="   ") for number, line in lines))
     return "\n" + "\n".join(parts) + "\n"
-
-
-def _wrapped(text: str, indent: str = "") -> str:
-    return (
-        textwrap.fill(
-            text, 100, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
-        )
-        + "\n"
-    )
-
-
-def rewrite(text: str, part: str) -> str:
-    """The page with another part between the marks."""
-    before, found, rest = text.partition(BEGIN)
-    _, closed, after = rest.partition(END)
-    if not (found and closed):
-        raise SystemExit(f"limits.md: expected {BEGIN} and, later, {END}; put them back")
-    return f"{before}{BEGIN}\n{part}{END}{after}"
 
 
 def main() -> None:
@@ -297,7 +279,9 @@ def main() -> None:
     if failures:
         write_figure(told.docs / picture, lambda: draw(failures), dpi=72)
     page = told.docs / "limits.md"
-    text = rewrite(page.read_text(encoding="utf-8"), section(sets, failures, picture))
+    text = rewrite(
+        page.read_text(encoding="utf-8"), section(sets, failures, picture), begin=BEGIN, end=END
+    )
     page.write_text(text, encoding="utf-8")
 
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -21,6 +20,7 @@ from fullturn.evaluation import paper
 from fullturn.evaluation.folders import MethodResult, SetResult, read_runs
 from fullturn.evaluation.layout import Table, markdown
 from fullturn.evaluation.tables import main_table
+from marked import rewrite, wrapped
 
 BEGIN, END = "<!-- benchmark:start -->", "<!-- benchmark:end -->"
 ROOT = Path(__file__).resolve().parents[1]
@@ -80,7 +80,7 @@ def section(results: Path) -> str:
     texts = [text for part in parts if (text := part(results))]
     if not texts:
         return ""
-    opening = paragraph(
+    opening = wrapped(
         "Mean and median rotation error; the share of pairs within 5°; the share that is *right*, "
         "which means within 5° and 5 % of the radius; the share that fits the clouds as well as "
         "the true pose does (*geometric*), symmetric poses included; the mean probability that the "
@@ -104,10 +104,10 @@ def modelnet_part(results: Path) -> str:
         "the other methods here can't be told. The sets of one sample and those of two are "
         "different tasks:": narrow_table(sets),
     }
-    parts = [f"{paragraph(text)}\n{table}" for text, table in tables.items() if table]
+    parts = [f"{wrapped(text)}\n{table}" for text, table in tables.items() if table]
     if not parts:
         return ""
-    opening = paragraph(
+    opening = wrapped(
         "**ModelNet40**, partial clouds of 768 points (717 where each scan is cropped on its own). "
         "The published numbers are for all 40 categories; here it is a part of them, mostly "
         "airplanes and bathtubs, so they are a landmark and no comparison."
@@ -125,7 +125,7 @@ def scans_part(results: Path) -> str:
     table = tables_of(sets, {"stanford": "", **OVERLAPS})
     if not table:
         return ""
-    opening = paragraph(
+    opening = wrapped(
         "**Real range scans**, the Stanford bunny and dragon, 15,000 to 44,000 points each, every "
         "pair by how much the scans share, against Stanford's own alignment:"
     )
@@ -142,7 +142,7 @@ def mvp_part(results: Path) -> str:
     table = tables_of(told + blind, MVP_RG)
     if not table:
         return ""
-    opening = paragraph(
+    opening = wrapped(
         "**Virtual scans**, an MVP-RG set built here: two of 26 views of an object, 2,048 points "
         "each, any rotation. The shapes are other ones than those of the published set, many of "
         "them nearly symmetric, so the published number is a landmark and no comparison:"
@@ -166,7 +166,7 @@ def descriptor_part(results: Path) -> str:
         )
         rows.append((title, *cells))
     header = (("descriptor",), *((DESCRIPTORS[name],) for name in sets))
-    text = paragraph(
+    text = wrapped(
         "**The descriptor network** against the handcrafted descriptor that it replaced, in the "
         "same search: share within 5°, and CPU seconds:"
     )
@@ -190,7 +190,7 @@ def calibration_part(results: Path) -> str:
             f" Of the {summary['unrelated']} pairs of different objects among them, "
             f"{percent(summary['unrelated_at_most_0.2'])} get at most 0.2."
         )
-    return "\n".join([paragraph(text), *full_tables_link(results / "calibration")])
+    return "\n".join([wrapped(text), *full_tables_link(results / "calibration")])
 
 
 def speed_part(results: Path) -> str:
@@ -226,7 +226,7 @@ def tables_of(sets: Sequence[SetResult], titles: dict[str, str]) -> str:
     if not chosen:
         return ""
     table = main_table(chosen, methods=METHODS, titles=titles)
-    return f"{markdown(table)}\n{paragraph(table.notes[0])}"
+    return f"{markdown(table)}\n{wrapped(table.notes[0])}"
 
 
 def without_local(found: SetResult) -> SetResult:
@@ -289,20 +289,6 @@ def percent(share: float) -> str:
     return f"{100.0 * share:.1f} %"
 
 
-def paragraph(text: str) -> str:
-    """Text wrapped as the README is."""
-    return textwrap.fill(text, 100, break_long_words=False, break_on_hyphens=False) + "\n"
-
-
-def rewrite(readme: str, text: str) -> str:
-    """The README with another text between the marks."""
-    before, found, rest = readme.partition(BEGIN)
-    _, closed, after = rest.partition(END)
-    if not (found and closed):
-        raise SystemExit(f"README.md: expected {BEGIN} and, later, {END}; put them back")
-    return f"{before}{BEGIN}\n{text}{END}{after}"
-
-
 def main() -> None:
     """Rewrite the README."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -310,7 +296,9 @@ def main() -> None:
     parser.add_argument("--readme", type=Path, default=ROOT / "README.md")
     arguments = parser.parse_args()
     readme = arguments.readme.read_text(encoding="utf-8")
-    arguments.readme.write_text(rewrite(readme, section(arguments.results)), encoding="utf-8")
+    arguments.readme.write_text(
+        rewrite(readme, section(arguments.results), begin=BEGIN, end=END), encoding="utf-8"
+    )
 
 
 if __name__ == "__main__":

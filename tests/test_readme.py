@@ -85,8 +85,12 @@ def readme(monkeypatch):
     return readme
 
 
+def marked(readme, page: str, part: str) -> str:
+    return readme.rewrite(page, part, readme.BEGIN, readme.END)
+
+
 def test_measured_numbers_are_those_of_the_results(readme):
-    assert readme.rewrite(README, readme.section(ROOT / "results")) == README
+    assert marked(readme, README, readme.section(ROOT / "results")) == README
 
 
 def test_full_tables_are_those_of_their_runs():
@@ -111,11 +115,11 @@ def test_trained_tables_are_those_of_their_runs(monkeypatch):
 
 def test_rewriting_twice_changes_nothing_and_keeps_the_rest(readme):
     old = f"before\n{readme.BEGIN}\nold\n{readme.END}\nafter\n"
-    once = readme.rewrite(old, "new\n")
+    once = marked(readme, old, "new\n")
     assert once == f"before\n{readme.BEGIN}\nnew\n{readme.END}\nafter\n"
-    assert readme.rewrite(once, "new\n") == once
+    assert marked(readme, once, "new\n") == once
     with pytest.raises(SystemExit, match="put them back"):
-        readme.rewrite("no marks", "new\n")
+        marked(readme, "no marks", "new\n")
 
 
 def test_what_is_missing_leaves_its_part_out(readme, tmp_path, monkeypatch):

@@ -127,15 +127,15 @@ class TestLimits:
     def test_the_page_keeps_what_stands_around_the_marks(self) -> None:
         page = f"# Title\n\n{limits.BEGIN}\nold\n{limits.END}\n\nMore.\n"
         part = limits.section({"scans": [row("a", 0.95)]}, [], "p.png")
-        text = limits.rewrite(page, part)
+        text = limits.rewrite(page, part, limits.BEGIN, limits.END)
         assert text.startswith("# Title\n")
         assert text.endswith("\n\nMore.\n")
         assert "old" not in text
         assert "| scans | 1 | 1 | 1 | 0 | 1 |" in text
         assert "p.png" not in text
-        assert limits.rewrite(text, part) == text
+        assert limits.rewrite(text, part, limits.BEGIN, limits.END) == text
         with pytest.raises(SystemExit, match="put them back"):
-            limits.rewrite("# Title", part)
+            limits.rewrite("# Title", part, limits.BEGIN, limits.END)
 
     def test_failures_of_a_run_are_made_again_and_drawn(self, tmp_path: Path) -> None:
         shapes = ProceduralShapes(9, seed=2)
