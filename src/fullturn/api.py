@@ -6,6 +6,7 @@ import time
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import torch
 
 from fullturn.batch import RegistrationInterrupted, check_seed, register_many
 from fullturn.errors import InputError
@@ -16,8 +17,8 @@ from fullturn.methods.check import check_max_rotation, run_method
 from fullturn.methods.registry import get, methods
 from fullturn.normalize import normalized_clouds
 from fullturn.pose.explain import explain, pose_overlap
-from fullturn.pose.search import measure_poses
-from fullturn.pose.verdict import load_weights, log_probabilities, verdict_inputs
+from fullturn.pose.search import find_finalists, measure_poses
+from fullturn.pose.verdict import load_weights, log_probabilities, same_pose, verdict_inputs
 from fullturn.result import Alternative, Registration, Symmetry
 from fullturn.threads import torch_threads
 
@@ -120,13 +121,20 @@ def _load(thing: Any, role: str) -> LoadedCloud:
 
 
 def _probabilities(source: Cloud, target: Cloud, estimate: Estimate) -> list[float]:
-    """What the method states of each of its poses, or the verdict on them where it states none."""
+    """What the method states of each of its poses; where it states none, the verdict on them.
+
+    The verdict is asked about them among the poses that the default search finds: whether a pose is
+    right shows only beside its rivals.
+    """
     if estimate.success_probability is not None:
         return [float(p) for p in estimate.success_probability]
-    features = measure_poses(source, target, estimate.T_target_source)
+    T = estimate.T_target_source
+    found = find_finalists(source, target).T_target_source.to(T)
+    rivals = found[~same_pose(found, T).any(1)]
+    features = measure_poses(source, target, torch.cat([T, rivals]))
     # The method's own order stays: its best pose is its answer, whatever the verdict thinks.
     log_probability = log_probabilities(verdict_inputs(features.double()), load_weights())
-    return [float(p) for p in log_probability.exp()[:-1]]
+    return [float(p) for p in log_probability.exp()[: len(T)]]
 
 
 def _viewpoint(viewpoint: Any, name: str) -> np.ndarray | None:

@@ -105,7 +105,7 @@ def test_a_half_turn_gives_one_half_each(
     poses = [result.T_target_source, *(a.T_target_source for a in result.alternatives)]
     shares = [result.success_probability, *(a.success_probability for a in result.alternatives)]
     # The two samplings tip the scales a little; neither pose may be sure, or be ruled out.
-    assert 0.15 < shares[1] <= shares[0] < 0.85
+    assert 0.1 < shares[1] <= shares[0] < 0.9
     assert 0.8 < sum(shares) <= 1.0 + 1e-9
     for T_true in truths:
         assert min(angle_deg(T, T_true) for T in poses[:2]) < 5.0
@@ -236,7 +236,7 @@ def test_a_sensor_inside_a_room_agrees_with_what_it_saw() -> None:
         target_viewpoint=move(T_true, target_eye[None])[0],
     )
     assert_right(result, T_true, source)
-    assert result.success_probability > 0.6
+    assert result.success_probability > 0.5
 
 
 def room(count: int, *, seed: int) -> np.ndarray:
