@@ -133,7 +133,7 @@ def test_what_is_missing_leaves_its_part_out(readme, tmp_path, monkeypatch):
     write_run(tmp_path / "modelnet", {name: set_part(both) for name in names})
     text = readme.section(tmp_path)
     assert "| clean | fullturn | 4 | 2.50 | 0.500 | 75.0 | 75.0 | 100.0 | 62.5 | 0.38 |" in text
-    assert "|  | KISS-Matcher | 4 | 9.50 | 0.500 | 75.0 | 75.0 | – | 0.38 |" in text
+    assert "|  | KISS-Matcher | 4 | 9.50 | 0.500 | 75.0 | 75.0 | 100.0 | – | 0.38 |" in text
     # Local methods stand where rotations are small alone.
     assert text.count("| GICP (small_gicp) |") == 1
     assert "| GICP (small_gicp) | 99.50°, 75.0 % |" in text
