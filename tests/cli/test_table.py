@@ -41,7 +41,9 @@ def test_it_writes_what_it_says(run, tmp_path):
     done = run(folder, "--out", out)
     assert done.exit_code == 0
     assert {path.name for path in out.iterdir()} == TEXTS | {"curves.png", "risk_coverage.png"}
-    assert re.search(r"^  ours +4 +2\.50 +0\.500 +75\.0 +75\.0 +100\.0 +62\.5 +0\.38$", done.output, re.M)
+    assert re.search(
+        r"^  ours +4 +2\.50 +0\.500 +75\.0 +75\.0 +100\.0 +62\.5 +0\.38$", done.output, re.M
+    )
     assert re.search(r"^  GMCNet, as published +– +0\.036 ", done.output, re.M)
     assert "stanford: near" in done.output
     page = (out / "report.html").read_text(encoding="utf-8")
