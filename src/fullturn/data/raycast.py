@@ -19,6 +19,8 @@ _FACES_AT_ONCE = 1 << 17
 _PAIRS_AT_ONCE = 1 << 18
 # A triangle is degenerate where its height is this small against its longest edge.
 _FLAT = 1e-12
+# Of a product of two corners and a ray, over the square of the largest corner.
+_ROUNDING = 4e-15
 # Pixels; wider than the rounding of a projection, so that no box is too small.
 _MARGIN = 1e-6
 
@@ -156,7 +158,8 @@ def _first_faces(corners: Float[np.ndarray, "f 3 3"], camera: Camera) -> Int[np.
 
     With the eye in the origin, a ray d passes through the triangle abc, or through its mirror image
     behind the eye, where d·(b×c), d·(c×a) and d·(a×b) have one sign. The products of a shared edge
-    are equal to the bit, so no ray slips between two triangles. Of equally near ones, the first.
+    are equal to the bit, so no ray slips between two triangles, and zero to rounding is of either
+    sign, so none slips through the corner of many. Of equally near ones, the first.
     """
     depth = np.full(camera.height * camera.width, np.inf)
     face = np.full(len(depth), -1, dtype=np.int64)
@@ -166,10 +169,12 @@ def _first_faces(corners: Float[np.ndarray, "f 3 3"], camera: Camera) -> Int[np.
         low, high = _pixel_boxes(block, camera)
         a, b, c = block.transpose(1, 0, 2)
         sides = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=1)
+        rounding = _ROUNDING * np.square(block).sum(axis=2).max(axis=1, keepdims=True)
         for which, pixel in _pairs(low, high, camera.width):
             ray = rays[pixel]
             side = (sides[which] * ray[:, None, :]).sum(axis=2)
-            inside = (side >= 0.0).all(axis=1) | (side <= 0.0).all(axis=1)
+            zero = rounding[which]
+            inside = (side >= -zero).all(axis=1) | (side <= zero).all(axis=1)
             which, pixel = which[inside], pixel[inside]
             away = _plane_depth(block[which], ray[inside])
             nearer = (away > 0.0) & (away < depth[pixel])
