@@ -129,9 +129,9 @@ def _probabilities(source: Cloud, target: Cloud, estimate: Estimate) -> list[flo
     if estimate.success_probability is not None:
         return [float(p) for p in estimate.success_probability]
     T = estimate.T_target_source
-    found = find_finalists(source, target).T_target_source.to(T)
-    rivals = found[~same_pose(found, T).any(1)]
-    features = measure_poses(source, target, torch.cat([T, rivals]))
+    found = find_finalists(source, target)
+    rivals = ~same_pose(found.T_target_source.to(T), T).any(1)
+    features = torch.cat([measure_poses(source, target, T), found.features[rivals]])
     # The method's own order stays: its best pose is its answer, whatever the verdict thinks.
     log_probability = log_probabilities(verdict_inputs(features.double()), load_weights())
     return [float(p) for p in log_probability.exp()[: len(T)]]

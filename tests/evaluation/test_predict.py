@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 from run_pairs import listed_pairs, write_methods
 
 import fullturn
@@ -13,9 +12,8 @@ from fullturn.data.pair import Pair
 from fullturn.data.protocols import PROTOCOLS, ProtocolPairs
 from fullturn.data.shapes import ProceduralShapes
 from fullturn.evaluation.predict import Predictor, pair_hash, predict
-from fullturn.geometry.cloud import Cloud
-from fullturn.methods.base import Estimate, Method, Traits
 from fullturn.methods.registry import get
+from told_method import Told
 
 
 @pytest.fixture(scope="module")
@@ -48,25 +46,10 @@ def test_failures_have_a_reason_and_the_identity(tmp_path: Path) -> None:
 
 
 def test_a_method_is_told_the_largest_rotation_if_it_takes_one(pair: Pair) -> None:
-    class Limited(Method):
-        name, summary, reference = "limited", "keeps what it was told", "this test"
-        traits = Traits(limits_rotation=True)
-
-        def estimate(
-            self,
-            source: Cloud,
-            target: Cloud,
-            *,
-            rng: np.random.Generator,
-            max_rotation_rad: float | None = None,
-        ) -> Estimate:
-            self.told = max_rotation_rad
-            return Estimate(torch.eye(4, dtype=torch.float64)[None])
-
-    method, limited = Limited(), dataclasses.replace(pair, max_rotation_deg=45.0)
+    method, limited = Told(), dataclasses.replace(pair, max_rotation_deg=45.0)
     for known, told in ((limited, np.pi / 4), (pair, None)):
         assert predict(method, known, seed=0).error is None
-        assert method.told == told
+        assert method.max_rotation_rad == told
         assert predict(get("icp-point")(), known, seed=0).error is None
 
 

@@ -13,28 +13,13 @@ from scipy.spatial.transform import Rotation
 import fullturn
 from fullturn.errors import InputError
 from fullturn.geometry.cloud import Cloud
-from fullturn.methods.base import Estimate, Method, Traits
+from fullturn.methods.base import Estimate, Method
 from fullturn.methods.check import check_max_rotation, run_method
 from fullturn.methods.registry import get, names
+from told_method import Told
 
 TAKERS = [name for name in names() if get(name).traits.limits_rotation]
 BEYOND_DEG = 5.0  # refinement of the answer may go over the limit by so much
-
-
-class Told(Method):
-    name, summary, reference = "told", "keeps what it was told", "this test"
-    traits = Traits(limits_rotation=True)
-
-    def estimate(
-        self,
-        source: Cloud,
-        target: Cloud,
-        *,
-        rng: np.random.Generator,
-        max_rotation_rad: float | None = None,
-    ) -> Estimate:
-        self.max_rotation_rad = max_rotation_rad
-        return Estimate(torch.eye(4, dtype=torch.float64)[None])
 
 
 class Untold(Method):
