@@ -179,7 +179,7 @@ def test_the_script_is_valid(tmp_path):
 def test_the_script_and_the_page_name_the_same_elements():
     assets = resources.files("fullturn.viz") / "assets"
     script = (assets / "viewer.js").read_text(encoding="utf-8")
-    page = (assets / "report.html").read_text(encoding="utf-8")
+    page = "".join((assets / n).read_text(encoding="utf-8") for n in ("page.html", "report.html"))
     style = (assets / "report.css").read_text(encoding="utf-8")
     for name in re.findall(r'getElementById\("([\w-]+)"\)', script):
         assert f'id="{name}"' in page

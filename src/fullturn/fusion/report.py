@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 import colorsys
-import json
 import math
 import os
 from collections.abc import Sequence
 from importlib import resources
-from string import Template
 from typing import Any
 
 import numpy as np
 
-import fullturn
 from fullturn.fusion.picture import graph_picture
 from fullturn.fusion.result import Fusion
 from fullturn.io import load_cloud
 from fullturn.io.atomic import write_atomic
 from fullturn.viz import tables
+from fullturn.viz.page import render_page
 from fullturn.viz.payload import encode_points, middle
 from fullturn.viz.scene import apply, thin, viewing_axes
 
@@ -40,35 +38,36 @@ def write_fusion_report(
 def render_fusion_report(clouds: Sequence[Any], fusion: Fusion) -> str:
     """Return the page that `write_fusion_report` writes; the same input gives the same text."""
     drawn = _drawn(clouds, fusion)
-    own, shared = (resources.files(f"fullturn.{room}") / "assets" for room in ("fusion", "viz"))
-    page = Template((own / "fuse.html").read_text(encoding="utf-8"))
+    assets = resources.files("fullturn.fusion") / "assets"
     used = sum(group >= 0 for group in fusion.group)
     count, points = len(fusion.groups), len(fusion.points)
     joined = "one group" if count == 1 else f"{count} groups that nothing firmly connects"
-    colors = scan_colors(len(fusion.names))
-    return page.substitute(
-        version=fullturn.__version__,
-        style=(shared / "report.css").read_text(encoding="utf-8"),
-        script=(own / "fuse.js").read_text(encoding="utf-8"),
-        title=f"{used} scans fused",
-        summary=tables.text(
-            f"{joined}, {points:,} points in the largest, {len(fusion.edges)} pairs registered "
-            f"by method {fusion.method}"
-        ),
-        # Inside a script element only "<" could end the data early.
-        scene=json.dumps(_payload(drawn, fusion, colors)).replace("<", "\\u003c"),
-        group_buttons="\n".join(
-            f'<button type="button" data-group="{n}">Group {n + 1}: {len(group)} scans</button>'
-            for n, group in enumerate(fusion.groups)
-        ),
-        drawn=f"{sum(map(len, drawn)):,} points drawn",
-        scan_rows=_scan_rows(fusion, colors),
-        notes="<ul class='notes'>"
-        + "".join(f"<li>{tables.text(note)}</li>" for note in fusion.notes)
-        + "</ul>",
-        graph=graph_picture(fusion, colors),
-        seconds_rows=tables.seconds_rows(fusion.seconds),
-        edge_rows=_edge_rows(fusion),
+    colors, title = scan_colors(len(fusion.names)), f"{used} scans fused"
+    return render_page(
+        (assets / "fuse.html").read_text(encoding="utf-8"),
+        {
+            "title": title,
+            "summary": tables.text(
+                f"{joined}, {points:,} points in the largest, {len(fusion.edges)} pairs registered "
+                f"by method {fusion.method}"
+            ),
+            "group_buttons": "\n".join(
+                f'<button type="button" data-group="{n}">Group {n + 1}: {len(group)} scans</button>'
+                for n, group in enumerate(fusion.groups)
+            ),
+            "drawn": f"{sum(map(len, drawn)):,} points drawn",
+            "scan_rows": _scan_rows(fusion, colors),
+            "notes": "<ul class='notes'>"
+            + "".join(f"<li>{tables.text(note)}</li>" for note in fusion.notes)
+            + "</ul>",
+            "graph": graph_picture(fusion, colors),
+            "seconds_rows": tables.seconds_rows(fusion.seconds),
+            "edge_rows": _edge_rows(fusion),
+        },
+        title=title,
+        scene=_payload(drawn, fusion, colors),
+        script=(assets / "fuse.js").read_text(encoding="utf-8"),
+        style=(assets / "fuse.css").read_text(encoding="utf-8"),
     )
 
 

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import html
-import json
 from importlib import resources
-from string import Template
 from typing import TYPE_CHECKING
 
-import fullturn
 from fullturn.io.atomic import write_atomic
 from fullturn.viz import tables
+from fullturn.viz.page import render_page
 from fullturn.viz.payload import make_payload
 from fullturn.viz.scene import make_scene
 
@@ -74,31 +72,33 @@ def render_report(
     payload = make_payload(scene, registration)
     length = tables.length_format(scene.size)
     assets = resources.files("fullturn.viz") / "assets"
-    page = Template((assets / "report.html").read_text(encoding="utf-8"))
-    return page.substitute(
-        version=fullturn.__version__,
-        style=(assets / "report.css").read_text(encoding="utf-8"),
-        script=(assets / "viewer.js").read_text(encoding="utf-8"),
-        # Inside a script element only "<" could end the data early.
-        scene=json.dumps(payload, separators=(",", ":")).replace("<", "\\u003c"),
-        source_name=tables.text(source_name),
-        target_name=tables.text(target_name),
-        method=tables.text(registration.method),
-        view_buttons=view_buttons([view["name"] for view in payload["views"]]),
-        far=length(scene.far),
-        drawn=drawn_note(
-            scene.source_total, scene.target_total, len(scene.source), len(scene.target)
+    names = {"source_name": tables.text(source_name), "target_name": tables.text(target_name)}
+    return render_page(
+        (assets / "report.html").read_text(encoding="utf-8"),
+        dict(
+            **names,
+            method=tables.text(registration.method),
+            view_buttons=view_buttons([view["name"] for view in payload["views"]]),
+            far=length(scene.far),
+            drawn=drawn_note(
+                scene.source_total, scene.target_total, len(scene.source), len(scene.target)
+            ),
+            probability=tables.probability(registration.success_probability),
+            probability_bar=tables.probability_bar(registration),
+            probability_note=tables.probability_note(registration),
+            notes=tables.notes(registration),
+            pose_rows=tables.pose_rows(registration, length),
+            agreement_rows=tables.agreement_rows(
+                registration, scene.source_total, scene.target_total
+            ),
+            uncertainty_rows=tables.uncertainty_rows(registration.covariance),
+            matrix=tables.matrix(registration.T_target_source),
+            alternatives=tables.alternatives(registration, first_view=3, views=MAX_ALTERNATIVES),
+            seconds_rows=tables.seconds_rows(registration.seconds),
         ),
-        probability=tables.probability(registration.success_probability),
-        probability_bar=tables.probability_bar(registration),
-        probability_note=tables.probability_note(registration),
-        notes=tables.notes(registration),
-        pose_rows=tables.pose_rows(registration, length),
-        agreement_rows=tables.agreement_rows(registration, scene.source_total, scene.target_total),
-        uncertainty_rows=tables.uncertainty_rows(registration.covariance),
-        matrix=tables.matrix(registration.T_target_source),
-        alternatives=tables.alternatives(registration, first_view=3, views=MAX_ALTERNATIVES),
-        seconds_rows=tables.seconds_rows(registration.seconds),
+        title=f"{names['source_name']} → {names['target_name']}",
+        scene=payload,
+        script=(assets / "viewer.js").read_text(encoding="utf-8"),
     )
 
 
