@@ -15,7 +15,8 @@ FILES = sorted(SOURCE.rglob("*.py"))
 
 # A room imports itself, rooms to its left and the foundation.
 ORDER = ["geometry", "features", "nn", "matching", "pose", "methods"]
-ORDER += ["io", "data", "viz", "api", "training", "evaluation", "fusion", "cli"]
+ORDER += ["io", "data", "viz", "api", "training", "evaluation"]
+ORDER += ["locating", "fusion", "cluster", "cli"]
 FOUNDATION = {"__init__", "errors", "result"}
 # The front door is more than one file.
 PART_OF = dict.fromkeys(["batch", "normalize", "progress", "threads", "workers"], "api")

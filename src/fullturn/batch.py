@@ -64,7 +64,7 @@ def register_many(
     most = check_workers(workers)
     todo = list(pairs)
     results: list[Outcome | None] = [None] * len(todo)
-    work = partial(_outcome, method=method, seed=seed, max_rotation_deg=max_rotation_deg)
+    work = partial(outcome_of, method=method, seed=seed, max_rotation_deg=max_rotation_deg)
     with progress_bar("registering", len(todo), shown=progress) as advance:
 
         def done(number: int, outcome: Outcome) -> None:
@@ -98,12 +98,13 @@ def check_seed(seed: Any) -> int:
     return number
 
 
-def _outcome(pair: Any, *, method: str, seed: int, max_rotation_deg: float | None) -> Outcome:
+def outcome_of(pair: Any, **options: Any) -> Outcome:
+    """What `register(source, target, **options)` returns, or its error; the one of one pair."""
     from fullturn.api import register
 
     try:
         source, target = _portable(pair)
-        return register(source, target, method=method, seed=seed, max_rotation_deg=max_rotation_deg)
+        return register(source, target, **options)
     except FullturnError as error:
         return error.with_traceback(None)  # whose frames would keep the clouds in memory
     # A fault in one pair must not cost the others their results.

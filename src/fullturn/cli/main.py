@@ -16,6 +16,8 @@ from fullturn.cli.errors import INTERRUPTED, known_errors, tell
 _VERBS = {
     "register": "fullturn.cli.register",
     "fuse": "fullturn.cli.fuse",
+    "locate": "fullturn.cli.locate",
+    "batch": "fullturn.cli.batch",
     "methods": "fullturn.cli.methods",
     "demo": "fullturn.cli.demo",
     "evaluate": "fullturn.cli.evaluate",
