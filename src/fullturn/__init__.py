@@ -7,10 +7,13 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 __all__ = [
     "Fusion",
+    "Located",
     "Registration",
     "__version__",
     "fuse",
     "load_cloud",
+    "locate",
+    "prepare",
     "register",
     "register_many",
 ]
@@ -20,6 +23,9 @@ if TYPE_CHECKING:
     from fullturn.fusion.fuse import fuse
     from fullturn.fusion.result import Fusion
     from fullturn.io import load_cloud
+    from fullturn.locating.locate import locate
+    from fullturn.locating.model import prepare
+    from fullturn.locating.result import Located
     from fullturn.result import Registration
 
 _HOMES = {
@@ -27,7 +33,10 @@ _HOMES = {
     "register_many": "fullturn.api",
     "fuse": "fullturn.fusion.fuse",
     "load_cloud": "fullturn.io",
+    "locate": "fullturn.locating.locate",
+    "prepare": "fullturn.locating.model",
     "Fusion": "fullturn.fusion.result",
+    "Located": "fullturn.locating.result",
     "Registration": "fullturn.result",
 }
 

@@ -1,0 +1,204 @@
+"""`fullturn locate MODEL SCENE`: where a known model stands in a scan."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from fullturn.cli.errors import BELOW_MINIMUM, tell
+
+if TYPE_CHECKING:
+    from fullturn.locating.model import PreparedModel
+    from fullturn.locating.result import Located
+
+
+def locate(
+    model: Annotated[
+        Path,
+        typer.Argument(
+            metavar="MODEL", help="Mesh, complete cloud, or prepared model (.safetensors)."
+        ),
+    ],
+    scene: Annotated[
+        Path, typer.Argument(metavar="SCENE", help="Scan in which the model stands somewhere.")
+    ],
+    prepared: Annotated[
+        Path | None,
+        typer.Option(help="Prepared model, .safetensors: read if it is there, else written."),
+    ] = None,
+    viewpoint: Annotated[
+        str | None, typer.Option(metavar="X,Y,Z", help="Where the sensor stood, in SCENE's frame.")
+    ] = None,
+    instances: Annotated[
+        int, typer.Option(min=0, help="How many to look for at most; 0: as many as there are.")
+    ] = 1,
+    min_probability: Annotated[
+        float | None,
+        typer.Option(
+            min=0.0,
+            max=1.0,
+            help="Exit with 3 if the first is below this; further ones must reach it (0.5).",
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Write the first 4×4 transform: .txt or .json.")
+    ] = None,
+    save: Annotated[
+        Path | None,
+        typer.Option(help="Write the model's surface in the scene: .ply, .npy, .xyz, .txt, .csv."),
+    ] = None,
+    json: Annotated[
+        bool, typer.Option("--json", help="Print the result as one JSON object.")
+    ] = False,
+) -> None:
+    """Find MODEL in SCENE, and the probability that it is there. Both are in one unit.
+
+    Files: PLY, PCD, XYZ, TXT, CSV, NPY, NPZ; meshes PLY, OBJ, STL, OFF, GLB.
+
+    Exit codes: 0 located, 1 error, 2 wrong usage, 3 below --min-probability.
+    """
+    eye = _viewpoint(viewpoint)
+    if math.isnan(min_probability or 0.0):
+        raise typer.BadParameter("--min-probability: expected a number from 0 to 1, got nan")
+
+    from fullturn.io.atomic import check_output
+    from fullturn.io.save import CLOUD_SUFFIXES, save_cloud
+    from fullturn.io.transform import TRANSFORM_SUFFIXES, write_transform
+
+    # Before the work, so that no result is lost to a wrong file name.
+    outputs = ((out, TRANSFORM_SUFFIXES), (save, CLOUD_SUFFIXES), (prepared, (".safetensors",)))
+    for path, suffixes in outputs:
+        if path is not None:
+            check_output(path, suffixes)
+
+    from fullturn.io import load_cloud
+
+    cloud = load_cloud(scene)
+
+    import numpy as np
+
+    from fullturn.locating.locate import locate as run
+
+    ready = _ready(model, prepared)
+    result = run(
+        ready,
+        cloud,
+        scene_viewpoint=eye,
+        instances=instances or None,
+        min_probability=0.5 if min_probability is None else min_probability,
+    )
+    if out is not None:
+        write_transform(out, result.T_scene_model)
+    if save is not None:
+        surface = ready.points()
+        poses = [place.T_scene_model for place in result.locations]
+        save_cloud(save, np.concatenate([surface @ T[:3, :3].T + T[:3, 3] for T in poses]))
+    if json:
+        from json import dumps
+
+        print(dumps(_content(result, str(model), str(scene))))
+    else:
+        _print_table(result, str(model), str(scene))
+    if min_probability is not None and result.surface_probability < min_probability:
+        tell(
+            f"the probability {result.surface_probability:.3f} is below the "
+            f"--min-probability {min_probability:g}"
+        )
+        raise typer.Exit(BELOW_MINIMUM)
+
+
+def _ready(model: Path, prepared: Path | None) -> PreparedModel:
+    from fullturn.locating.model import prepare
+    from fullturn.locating.store import SUFFIX, load_prepared
+
+    is_prepared = model.suffix.lower() == SUFFIX
+    if prepared is not None and prepared.exists() and not is_prepared:
+        return load_prepared(prepared, model=model)
+    ready = load_prepared(model) if is_prepared else prepare(model)
+    if prepared is not None:
+        ready.save(prepared)
+    return ready
+
+
+def _content(result: Located, model: str, scene: str) -> dict[str, Any]:
+    first = result.locations[0]
+    return {
+        "T_scene_model": first.T_scene_model.tolist(),
+        "success_probability": first.success_probability,
+        "surface_probability": first.surface_probability,
+        "locations": [
+            {
+                "T_scene_model": place.T_scene_model.tolist(),
+                "success_probability": place.success_probability,
+                "surface_probability": place.surface_probability,
+                "visible_share": place.visible_share,
+                "points": place.points,
+                "alternatives": [
+                    {
+                        "T_scene_model": other.T_scene_model.tolist(),
+                        "success_probability": other.success_probability,
+                        "surface_probability": other.surface_probability,
+                    }
+                    for other in place.alternatives
+                ],
+            }
+            for place in result.locations
+        ],
+        "seconds": result.seconds,
+        "notes": list(result.notes),
+        "model": model,
+        "scene": scene,
+    }
+
+
+def _print_table(result: Located, model: str, scene: str) -> None:
+    import numpy as np
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    from fullturn.cli.render import rotation_deg
+    from fullturn.viz.tables import probability
+
+    table = Table(box=None, show_header=False, pad_edge=False)
+    table.add_column(style="bold", no_wrap=True)
+    table.add_column(overflow="fold")
+
+    def row(title: str, text: str) -> None:
+        table.add_row(title, Text(text))  # Text: a name may hold brackets that are no markup
+
+    row("model in scene", f"{model} in {scene}")
+    for number, place in enumerate(result.locations, start=1):
+        T = place.T_scene_model
+        if len(result.locations) > 1:
+            row(f"instance {number}", "")
+        row("rotation", f"{rotation_deg(T):.2f}°")
+        row("translation", "  ".join(f"{x:.6g}" for x in T[:3, 3]))
+        row("probability", f"{probability(place.surface_probability)} that its surface lies there")
+        row("of the pose", f"{probability(place.success_probability)} that it is the true one")
+        row("seen", f"{place.visible_share:.0%} of the model's outside")
+        for rank, other in enumerate(place.alternatives, start=1):
+            angle_deg = rotation_deg(np.linalg.inv(T) @ other.T_scene_model)
+            stated = probability(other.success_probability)
+            row(f"alternative {rank}", f"probability {stated}, {angle_deg:.1f}° away")
+    for note in result.notes:
+        row("note", note)
+    row("seconds", f"{result.seconds['total']:.2f}")
+    Console().print(table)
+
+
+def _viewpoint(text: str | None) -> tuple[float, ...] | None:
+    if text is None:
+        return None
+    try:
+        place = tuple(float(x) for x in text.split(","))
+    except ValueError:
+        place = ()
+    if len(place) != 3 or not all(math.isfinite(x) for x in place):
+        raise typer.BadParameter(
+            f"--viewpoint: expected three numbers as in 0.1,-2,3; got {text!r}"
+        )
+    return place

@@ -1,0 +1,1 @@
+"""Where a known model stands in a scan."""

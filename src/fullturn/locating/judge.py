@@ -1,0 +1,109 @@
+"""Which pose of the model in a part of a scene is right, and how probably; or none of them."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from fullturn.errors import FullturnError
+from fullturn.geometry import rigid
+from fullturn.locating.model import PreparedModel
+from fullturn.locating.verify import FEATURES
+from fullturn.pose.grid import NearestGrid
+from fullturn.pose.verdict import VerdictWeights, log_probabilities, same_pose, verdict_inputs
+
+SAME_SURFACE = 0.05  # of the diameter: the farthest that a point of one placement is off the other
+_COMPARED = 600  # points of the surface
+_APART = 0.2  # share of common points below which two poses are of two instances, not rivals
+_WEIGHTS = ("mean", "deviation", "hidden", "hidden_bias", "output", "none")
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """Distinct poses, the most probable first."""
+
+    index: list[int]  # into the poses that were asked about
+    pose: list[float]  # probability that the true pose is within 5° and 5 % of the radius of it
+    surface: list[float]  # probability that the surface lies there, however the model is turned
+
+
+def same_surface(
+    T_scene_model: Float[Tensor, "k 4 4"],
+    other: Float[Tensor, "l 4 4"],
+    model: PreparedModel,
+    model_grid: NearestGrid,
+) -> Bool[Tensor, "k l"]:
+    """Which placements are the same surface: all points within 5 % of the diameter, or one pose.
+
+    So a turn of a symmetric model onto itself is the same, and one with its handle elsewhere isn't.
+    """
+    rows = slice(None, None, max(1, len(model.surface) // _COMPARED))
+    points = model.surface[rows]
+    between = rigid.invert(other)[None] @ T_scene_model[:, None]
+    moved = rigid.apply(between.flatten(0, 1), points)
+    difference, _ = model_grid.nearest(moved)
+    # Points stand for all around them, half a spacing away.
+    tolerance = SAME_SURFACE * model.diameter / model.radius + 0.5 * model.spacing
+    far = difference.square().sum(-1).amax(1).sqrt().view(between.shape[:2])
+    return (far < tolerance) | same_pose(T_scene_model, other)
+
+
+def judge(
+    T_scene_model: Float[Tensor, "k 4 4"],
+    features: Float[Tensor, "k f"],
+    explained: Bool[Tensor, "k n"],
+    model: PreparedModel,
+    model_grid: NearestGrid,
+) -> Judged:
+    """Rank the poses of one part by the probability that the surface lies there.
+
+    Poses that explain other points than the likeliest one does are no rivals of it: they may be
+    those of another instance. A pose's probabilities are the sums over all that are the same as it,
+    taken greedily: once a pose is listed, those that it speaks for are not listed again.
+    """
+    inputs = verdict_inputs(features.double())
+    log_p = log_probabilities(inputs, load_weights())
+    best = int(log_p[:-1].argmax())
+    fewest = torch.minimum(explained.sum(1), explained[best].sum()).clamp_min(1)
+    rival = (explained & explained[best]).sum(1) >= _APART * fewest
+    rival[best] = True
+    index = torch.nonzero(rival)[:, 0]
+    p = torch.softmax(torch.cat([log_p[index], log_p[-1:]]), 0)[:-1]
+    T = T_scene_model[index]
+    surface = same_surface(T, T, model, model_grid)
+    surface |= surface.T.clone()
+    pose = same_pose(T, T)
+    free = torch.ones(len(index), dtype=torch.bool, device=p.device)
+    listed: list[tuple[int, float, float]] = []
+    total = surface.to(p.dtype) @ p
+    while bool(free.any()):
+        own = (pose & free).to(p.dtype) @ p
+        # The likeliest surface, and on it the likeliest pose.
+        at = int(torch.where(free, total + 1e-3 * own, -1.0).argmax())
+        listed.append((int(index[at]), float(own[at]), float(total[at].clamp_max(1.0))))
+        free &= ~pose[at]
+        free[at] = False
+    numbers, own_p, surface_p = zip(*listed, strict=True)
+    return Judged(list(numbers), list(own_p), list(surface_p))
+
+
+@cache
+def load_weights() -> VerdictWeights:
+    """The weights in the package, checked against the features that this code measures."""
+    from safetensors import safe_open
+
+    path = resources.files("fullturn") / "weights" / "locate.safetensors"
+    with resources.as_file(path) as file, safe_open(file, framework="pt") as stored:
+        names = json.loads(stored.metadata()["features"])
+        if names != list(FEATURES):
+            raise FullturnError(
+                f"locate.safetensors: expected weights fit to the {len(FEATURES)} features that "
+                f"are measured of a pose, got {len(names)} others; run benchmarks/fit_locate.py"
+            )
+        return VerdictWeights(**{key: stored.get_tensor(key) for key in _WEIGHTS})

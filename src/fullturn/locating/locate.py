@@ -1,0 +1,254 @@
+"""The front door: a model and a scene in, poses with probabilities out."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from fullturn.errors import InputError
+from fullturn.geometry import rigid
+from fullturn.io import LoadedCloud, load_cloud
+from fullturn.locating.candidates import Candidates, candidates, grid_of
+from fullturn.locating.judge import Judged, judge
+from fullturn.locating.model import PreparedModel, prepare
+from fullturn.locating.result import Located, Location, OtherPose
+from fullturn.locating.scene import SceneParts, free_parts, take_apart
+from fullturn.locating.search import LocateConfig
+from fullturn.locating.store import SUFFIX, load_prepared
+from fullturn.pose.grid import NearestGrid
+from fullturn.threads import torch_threads
+
+_UNLIKE = 30.0  # times as large as the model, or as small: worth a word
+_COARSE = 0.3  # of the radius: points farther apart show nothing of a model
+_FEWEST = 20  # points of a scene
+_LEAST_PROBABILITY = 0.01  # of an alternative
+_MOST_ALTERNATIVES = 9
+# The probabilities were fit on parts of a few hundred points. Of fewer than this, little is known,
+# and they are at most so large.
+_KNOWN_POINTS, _UNKNOWN = 40, 0.2
+_EXPLAINED = 2.5  # spacings around a located model, within which points are of it
+
+
+@torch_threads(1)
+def locate(
+    model: Any,
+    scene: Any,
+    *,
+    scene_viewpoint: Any = None,
+    instances: int | None = 1,
+    min_probability: float = 0.5,
+    config: LocateConfig | None = None,
+) -> Located:
+    """Find where a known model stands in a partial scan, and how probably it is there.
+
+    `model` is a `PreparedModel`, a file of one (.safetensors), or what `prepare` takes: a mesh or
+    a complete cloud. The scene is a file path, an (N, 3) array, list or tensor, or an object with
+    `.points`; it has the model's unit, and may hold more than the model: a table, other objects.
+    `scene_viewpoint` (3,) says where the sensor stood, in the scene's frame; what it must have seen
+    then counts. `instances` is how many are looked for at most, None: as many as there are. Beyond
+    the first, each has a `surface_probability` of at least `min_probability`.
+
+    Raises:
+        InputError: a model, scene or viewpoint that cannot be used.
+        ReadError: a file that cannot be read.
+    """
+    begin = time.perf_counter()
+    _check_instances(instances, min_probability)
+    eye = _viewpoint(scene_viewpoint)
+    cloud = load_cloud(scene, name=_role(scene))
+    loaded = time.perf_counter()
+    prepared = _prepared(model)
+    ready = time.perf_counter()
+    frame = _Frame(cloud.points[0] + (cloud.points - cloud.points[0]).mean(axis=0), prepared)
+    points = frame.normalized(cloud.points)
+    viewpoint = None if eye is None else frame.normalized(eye)
+    parts = take_apart(points, viewpoint, prepared)
+    notes = (*prepared.notes, *cloud.notes, *_size_notes(points, prepared))
+    _check_scene(parts, points, prepared, cloud.name)
+    taken_apart = time.perf_counter()
+    search = _Search(parts, prepared, config or LocateConfig())
+    found: list[Location] = []
+    for place in search.places():
+        if found and place.judged.surface[0] < min_probability:
+            break
+        found.append(_location(place, frame))
+        if instances is not None and len(found) == instances:
+            break
+    if not found:
+        raise InputError(
+            f"{cloud.name}: expected a surface of at least {_FEWEST} points that hang together, "
+            f"found none among {len(cloud.points)}; give a denser scan"
+        )
+    end = time.perf_counter()
+    seconds = {
+        "check": loaded - begin,
+        "prepare": ready - loaded,
+        "take apart": taken_apart - ready,
+        "search": end - taken_apart,
+        "total": end - begin,
+    }
+    found.sort(key=lambda place: place.surface_probability, reverse=True)
+    return Located(tuple(found), seconds, notes)
+
+
+@dataclass(frozen=True, eq=False)
+class _Place:
+    """The poses of one part, judged."""
+
+    found: Candidates
+    judged: Judged
+    points: int
+
+
+@dataclass(eq=False)
+class _Search:
+    """Finds one instance after the other; what is found of a part is kept while it stays."""
+
+    scene: SceneParts
+    model: PreparedModel
+    config: LocateConfig
+    _known: dict[bytes, _Place] = field(default_factory=dict)
+
+    def places(self) -> Iterator[_Place]:
+        """The most probable place; then that among the points that it leaves unexplained.
+
+        Parts are looked at from the largest on; where the model surely is in one, no others are.
+        """
+        grid = grid_of(self.model)
+        free = torch.ones(len(self.scene.points), dtype=torch.bool, device=grid.points.device)
+        while True:
+            parts = free_parts(self.scene, free, self.model, limit=self.config.parts)
+            best: _Place | None = None
+            for members in parts:
+                place = self._place(members, grid)
+                if best is None or place.judged.surface[0] > best.judged.surface[0]:
+                    best = place
+                if best.judged.surface[0] >= self.config.sure:
+                    break
+            if best is None:
+                return
+            yield best
+            explained = self._explained(best, grid)
+            if not bool((free & explained).any()):
+                return
+            free &= ~explained
+
+    def _place(self, members: Tensor, grid: NearestGrid) -> _Place:
+        key = members.numpy(force=True).tobytes()
+        if key not in self._known:
+            found = candidates(self.scene, members, self.model, grid, self.config)
+            T = found.T_scene_model.float()
+            judged = judge(T, found.features, found.explained, self.model, grid)
+            self._known[key] = _Place(found, judged, int(members.sum()))
+        return self._known[key]
+
+    def _explained(self, place: _Place, grid: NearestGrid) -> Tensor:
+        T = place.found.T_scene_model[place.judged.index[0]]
+        difference, _ = grid.nearest(rigid.apply(rigid.invert(T), self.scene.points).float())
+        return difference.norm(dim=1) < _EXPLAINED * self.scene.spacing
+
+
+@dataclass(frozen=True, eq=False)
+class _Frame:
+    """x_normalized = (x − center) / radius, for the scene; the model has its own center."""
+
+    center: np.ndarray
+    model: PreparedModel
+
+    def normalized(self, points: np.ndarray) -> Tensor:
+        return torch.from_numpy((points - self.center) / self.model.radius)
+
+    def denormalized(self, T_scene_model: Tensor) -> np.ndarray:
+        T = T_scene_model.numpy(force=True).astype(np.float64)
+        shift = self.center - T[:3, :3] @ self.model.center.numpy(force=True)
+        T[:3, 3] = self.model.radius * T[:3, 3] + shift
+        return T
+
+
+def _location(place: _Place, frame: _Frame) -> Location:
+    judged, found = place.judged, place.found
+    scale = 1.0
+    if place.points < _KNOWN_POINTS:
+        scale = min(1.0, _UNKNOWN / max(max(judged.surface), 1e-9))
+    kept = [
+        OtherPose(frame.denormalized(found.T_scene_model[index]), scale * pose, scale * surface)
+        for rank, (index, pose, surface) in enumerate(
+            zip(judged.index, judged.pose, judged.surface, strict=True)
+        )
+        if rank == 0 or pose >= _LEAST_PROBABILITY
+    ][: 1 + _MOST_ALTERNATIVES]
+    best = judged.index[0]
+    return Location(
+        T_scene_model=kept[0].T_scene_model,
+        success_probability=kept[0].success_probability,
+        surface_probability=kept[0].surface_probability,
+        visible_share=float(found.visible_share[best]),
+        points=int(found.explained[best].sum()),
+        alternatives=tuple(kept[1:]),
+    )
+
+
+def _prepared(model: Any) -> PreparedModel:
+    if isinstance(model, PreparedModel):
+        return model
+    if isinstance(model, (str, os.PathLike)) and Path(model).suffix.lower() == SUFFIX:
+        return load_prepared(model)
+    return prepare(model)
+
+
+def _role(scene: Any) -> str | None:
+    return None if isinstance(scene, (str, os.PathLike, LoadedCloud)) else "scene"
+
+
+def _check_instances(instances: int | None, min_probability: float) -> None:
+    is_count = isinstance(instances, int) and not isinstance(instances, bool) and instances >= 1
+    if instances is not None and not is_count:
+        raise InputError(f"instances: expected a whole number of at least 1, got {instances!r}")
+    if not 0.0 <= min_probability <= 1.0:
+        raise InputError(f"min_probability: expected a number from 0 to 1, got {min_probability!r}")
+
+
+def _viewpoint(viewpoint: Any) -> np.ndarray | None:
+    if viewpoint is None:
+        return None
+    try:
+        place = np.array(viewpoint, dtype=np.float64)
+    except (ValueError, TypeError, RuntimeError) as error:
+        raise InputError(
+            f"scene_viewpoint: expected three numbers, got {viewpoint!r:.80}"
+        ) from error
+    if place.shape != (3,) or not np.isfinite(place).all():
+        raise InputError(
+            "scene_viewpoint: expected three finite numbers, where the sensor stood in the scene's "
+            f"frame; got shape {place.shape}"
+        )
+    return place
+
+
+def _size_notes(points: Tensor, model: PreparedModel) -> tuple[str, ...]:
+    size = float((points.amax(0) - points.amin(0)).norm())
+    ratio = size / (model.diameter / model.radius)
+    if 1.0 / _UNLIKE < ratio < _UNLIKE:
+        return ()
+    return (f"the scene is {ratio:.3g} times as large as the model: is the unit the same?",)
+
+
+def _check_scene(scene: SceneParts, points: Tensor, model: PreparedModel, name: str) -> None:
+    """Whether the scene can show a model of this size at all."""
+    if len(scene.points) >= _FEWEST and scene.spacing < _COARSE:
+        return
+    size = float((points.amax(0) - points.amin(0)).norm()) * model.radius
+    raise InputError(
+        f"{name}: expected at least {_FEWEST} points on a model with a diameter of "
+        f"{model.diameter:.3g}; the scene, {size:.3g} across, has {len(points)} points, about "
+        f"{scene.spacing * model.radius:.3g} apart: is the unit the same? If it is, give a denser "
+        "scan"
+    )

@@ -1,0 +1,62 @@
+"""A scan in the model's lengths, with its planes and the parts where the model may be."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from fullturn.geometry.sampling import point_spacing, voxel_sample
+from fullturn.locating.model import PreparedModel
+from fullturn.locating.planes import Plane, large_planes
+from fullturn.locating.regions import regions
+
+_MOST_POINTS = 60_000  # of a scene, evenly spread; a larger one is thinned further
+
+
+@dataclass(frozen=True, eq=False)
+class SceneParts:
+    """Lengths: those of the prepared model; the origin is the mean of the points."""
+
+    points: Float[Tensor, "n 3"]  # float64, voxel means
+    spacing: float
+    viewpoint: Float[Tensor, "3"] | None
+    planes: list[Plane]
+
+
+def take_apart(
+    points: Float[Tensor, "n 3"],
+    viewpoint: Float[Tensor, "3"] | None,
+    model: PreparedModel,
+) -> SceneParts:
+    """Thin the scene to the spacing of the model's surface, and find its large planes."""
+    voxel = model.fine_voxel
+    thin, _ = voxel_sample(points, voxel)
+    while len(thin) > _MOST_POINTS:
+        voxel *= 1.5
+        thin, _ = voxel_sample(points, voxel)
+    spacing = max(point_spacing(thin) if len(thin) > 1 else 0.0, model.spacing)
+    planes = large_planes(
+        thin, diameter=model.diameter / model.radius, spacing=spacing, viewpoint=viewpoint
+    )
+    return SceneParts(thin, spacing, viewpoint, planes)
+
+
+def free_parts(
+    scene: SceneParts, free: Bool[Tensor, " n"], model: PreparedModel, *, limit: int
+) -> list[Bool[Tensor, " n"]]:
+    """Where the model may be, among the points that nothing explains yet."""
+    off_planes = free.clone()
+    for plane in scene.planes:
+        off_planes &= ~plane.members
+    find = partial(
+        regions,
+        scene.points,
+        diameter=model.diameter / model.radius,
+        spacing=scene.spacing,
+        limit=limit,
+    )
+    # Flat on the plane, the model may be nothing but a part of it.
+    return find(off_planes) or find(free)
