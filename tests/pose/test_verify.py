@@ -13,7 +13,6 @@ from torch import Tensor
 
 from fullturn.geometry import rigid
 from fullturn.geometry.sampling import local_area
-from fullturn.pose.grid import NearestGrid
 from fullturn.pose.levels import Level, LevelPair
 from fullturn.pose.verify import MEASURED, Surface, agreement, measure, prepare_surface
 
@@ -200,13 +199,12 @@ def test_agreement_of_descriptors_by_hand() -> None:
     line = torch.linspace(-1, 1, 21).unsqueeze(1) * torch.tensor([1.0, 0.0, 0.0])
     level = Level(line, torch.tensor([0.0, 0.0, 1.0]).expand(21, 3), torch.ones(21))
     pair = LevelPair(level, level, 0.1)
-    grids = [NearestGrid(level.points, level.normals, cell=0.02, band=0.3) for _ in range(2)]
     alike = torch.eye(21) * 0.9
     poses = torch.eye(4).repeat(3, 1, 1)
     poses[1, 0, 3] = 0.1  # one step along: each meets its neighbor
     poses[2, 1, 3] = 5.0  # nothing meets
-    found = agreement(poses, pair, grids, alike)
+    found = agreement(poses, pair, alike)
     torch.testing.assert_close(
         found, torch.tensor([[0.9, 0.0], [0.0, 0.9], [0.0, 0.0]]), atol=0.05, rtol=0
     )
-    assert bool(agreement(poses, pair, grids, None).isnan().all())
+    assert bool(agreement(poses, pair, None).isnan().all())

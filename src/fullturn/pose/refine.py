@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from fullturn.geometry import rigid
 from fullturn.pose.grid import NearestGrid
-from fullturn.pose.residuals import gauss_newton_step, normal_equations
+from fullturn.pose.planes import move_planes, squared_falloff
+from fullturn.pose.residuals import gauss_newton_step, plane_equations, skew
 
 # Holds back sliding along a surface, where planes leave a pose free.
 _DAMPING = 0.01
@@ -26,24 +28,53 @@ def refine_poses(
 
     One Gauss–Newton step per entry of `scales` (lengths, from coarse to fine). A point counts with
     the weight (1 − d²/scale²)² (Tukey) within the scale and is drawn to the tangent plane of its
-    partner. Source points look for partners in the
-    target and target points in the source, so that neither cloud's gaps decide.
+    partner. Source points look for partners in the target and target points in the source, so that
+    neither cloud's gaps decide.
     """
     T = T_target_source
+    source, target = source.T.contiguous(), target.T.contiguous()
     for scale in scales:
-        R, t = T[:, :3, :3], T[:, None, :3, 3]
-        moved = source @ R.mT + t
-        difference, normal = target_grid.nearest(moved)
-        H, g = normal_equations(moved, difference, normal, tukey(difference, scale))
-        # Backwards, the moving point is the source's: it lies at target − difference.
-        difference, normal = source_grid.nearest((target - t) @ R)
-        weight = tukey(difference, scale)
-        difference, normal = difference @ R.mT, normal @ R.mT
-        H_back, g_back = normal_equations(target - difference, -difference, normal, weight)
-        T = rigid.exp_se3(gauss_newton_step(H + H_back, g + g_back, damping=_DAMPING)) @ T
+        H, g = _pull(move_planes(T, source), target_grid, scale)
+        back = move_planes(rigid.invert(T), target)
+        # In the source's frame it is the partner that moves, by what the motion is there.
+        H_back, g_back = _pull(back, source_grid, scale, partner_moves=True)
+        there = _adjoint(T)
+        H = H + there.mT @ H_back @ there
+        g = g + (there.mT @ g_back.unsqueeze(-1)).squeeze(-1)
+        T = _small_motion(gauss_newton_step(H, g, damping=_DAMPING)) @ T
     return T
 
 
-def tukey(difference: Float[Tensor, "*batch n 3"], scale: float) -> Float[Tensor, "*batch n"]:
+def _pull(
+    at: Float[Tensor, "3 k n"], grid: NearestGrid, scale: float, *, partner_moves: bool = False
+) -> tuple[Float[Tensor, "k 6 6"], Float[Tensor, "k 6"]]:
+    difference, normal = grid.nearest(at)
+    weight = tukey(difference, scale)
+    if partner_moves:
+        at, difference = at - difference, difference.neg_()
+    return plane_equations(at, difference, normal, weight)
+
+
+def tukey(difference: Float[Tensor, "3 *batch"], scale: float) -> Float[Tensor, "*batch"]:
     """(1 − d²/scale²)² within the scale, 0 beyond."""
-    return (1 - difference.square().sum(-1) / scale**2).clamp_min_(0).square_()
+    return squared_falloff(difference.square().sum(0), scale).square_()
+
+
+def _adjoint(T_target_source: Float[Tensor, "k 4 4"]) -> Float[Tensor, "k 6 6"]:
+    """Takes a small motion (ω, v) in the target's frame to the same one in the source's.
+
+    ω × (R p + t) + v = R (Rᵀω × p + Rᵀ(v + ω × t)).
+    """
+    R_inverse = T_target_source[:, :3, :3].mT
+    shift = -R_inverse @ skew(T_target_source[:, :3, 3])
+    right = torch.cat([torch.zeros_like(shift), R_inverse], 1)
+    return torch.cat([torch.cat([R_inverse, shift], 1), right], 2)
+
+
+def _small_motion(step: Float[Tensor, "k 6"]) -> Float[Tensor, "k 4 4"]:
+    """x → R x + v of steps (ω, v), R = (I − [ω/2]×)⁻¹ (I + [ω/2]×) (Cayley): it is cheap."""
+    half = 0.5 * step[:, :3]
+    K = skew(half)
+    scale = 2.0 / (1.0 + half.square().sum(-1))
+    R = torch.eye(3).to(K) + scale[:, None, None] * (K + K @ K)
+    return rigid.make(R, step[:, 3:])

@@ -96,7 +96,7 @@ def find_finalists(
         T = _within(_polish(fine, T), max_rotation_rad, slack_rad=LIMIT_EDGE_RAD)
         clock.lap("refine")
     features = _measure_level(fine, source, target, T)
-    agreed = agreement(T, coarse, grids, learned)
+    agreed = agreement(T, coarse, learned)
     clock.lap("verify")
     T = T.double()
     T = rigid.make(nearest_rotation(T[:, :3, :3]), T[:, :3, 3])
@@ -124,8 +124,7 @@ def measure_poses(
     """What verification measures of poses, found in whatever way."""
     coarse, fine = coarse_and_fine(source, target, config)
     T = T_target_source.float()
-    grids = _grids(coarse, band=3 * coarse.spacing)
-    agreed = agreement(T, coarse, grids, network_similarity(coarse))
+    agreed = agreement(T, coarse, network_similarity(coarse))
     return torch.cat([_measure_level(fine, source, target, T), agreed], 1)
 
 
@@ -138,18 +137,21 @@ def _measure_level(pair: LevelPair, source: Cloud, target: Cloud, T: Tensor) -> 
 
 
 def _hypothesize(pair: LevelPair, alike: Tensor, config: SearchConfig, clock: _Clock) -> Tensor:
-    h, source, target = pair.spacing, pair.source, pair.target
     matches = candidate_matches(alike, limit=config.match_limit)
+    (source, source_normals), (target, target_normals) = (
+        (level.points[level.keypoints], level.normals[level.keypoints])
+        for level in (pair.source, pair.target)
+    )
     agreement = hypotheses.compatibility(
         matches,
-        source.points,
-        target.points,
-        source.normals,
-        target.normals,
-        length_tolerance=config.length_tolerance * h,
+        source,
+        target,
+        source_normals,
+        target_normals,
+        length_tolerance=config.length_tolerance * pair.spacing,
     )
     clock.lap("match")
-    T = hypotheses.seeded_poses(matches, source.points, target.points, agreement)
+    T = hypotheses.seeded_poses(matches, source, target, agreement)
     clock.lap("hypothesize")
     return T
 

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from fullturn.geometry import rigid
 from fullturn.geometry.neighbors import NeighborIndex, gather
-from fullturn.pose.grid import NearestGrid
 from fullturn.pose.levels import Level, LevelPair
 from fullturn.pose.visibility import DepthImage
 
@@ -44,12 +43,13 @@ _SEEN = (
     "sight_known",  # share of the two sensors whose place is known
 )
 _PAIR = ("log_points",)  # of the smaller cloud, natural logarithm
-# Of coarse points that are near, by the descriptor network; NaN where there is none.
+# Of keypoints that are near, by the descriptor network; NaN where there is none.
 AGREEMENT = (
     "alike",  # mean similarity of a point and its partner
     "unlike",  # mean of how much more alike the most similar point of the other cloud is
 )
 _CONFLICT_REACH = 0.25  # normalized
+_TOGETHER = 2.0  # spacings: keypoints lie farther apart than points
 _RAW = _LOGARITHMIC + _LINEAR
 MEASURED = _RAW + tuple(f"{name}_sides" for name in _SIDED) + _SEEN + _PAIR
 FEATURES = MEASURED + AGREEMENT
@@ -116,30 +116,26 @@ def measure(
 
 
 def agreement(
-    T_target_source: Float[Tensor, "k 4 4"],
-    pair: LevelPair,
-    grids: Sequence[NearestGrid],
-    alike: Float[Tensor, "n m"] | None,
+    T_target_source: Float[Tensor, "k 4 4"], pair: LevelPair, alike: Float[Tensor, "n m"] | None
 ) -> Float[Tensor, "k 2"]:
-    """Whether points that a pose brings together are alike: the last columns of `FEATURES`.
+    """Whether keypoints that a pose brings together are alike: the last columns of `FEATURES`.
 
-    `grids` are those of source and target, `alike` how similar any two of their points are.
+    `alike` says how similar any two keypoints are.
     """
     k = len(T_target_source)
     if alike is None:
         return T_target_source.new_full((k, len(AGREEMENT)), math.nan)
-    R, t = T_target_source[:, :3, :3], T_target_source[:, None, :3, 3]
+    source, target = pair.source, pair.target
+    moved = rigid.apply(T_target_source, source.points[source.keypoints])
+    there = target.points[target.keypoints]
+    # |a − b|² − |a|²: exact enough for neighbors, and much faster than the distances.
+    distance_sq = torch.baddbmm(there.square().sum(-1), moved, there.T.expand(k, -1, -1), alpha=-2)
+    distance_sq += moved.square().sum(-1, keepdim=True)
     sums = T_target_source.new_zeros(k, 3)
-    for moved, area, grid, similarity in (
-        (pair.source.points @ R.mT + t, pair.source.area, grids[1], alike),
-        ((pair.target.points - t) @ R, pair.target.area, grids[0], alike.T),
-    ):
-        partner = grid.index(moved).long()
-        near = partner < len(grid.points) - 1
-        difference = moved - grid.points[partner]
-        near &= difference.square().sum(-1) < (1.5 * pair.spacing) ** 2
-        weight = area * near
-        found = similarity.gather(1, partner.clamp_max(similarity.shape[1] - 1).T).T
+    for level, dim, similarity in ((source, 2, alike), (target, 1, alike.T)):
+        nearest, partner = distance_sq.min(dim)
+        weight = level.area[level.keypoints] * (nearest < (_TOGETHER * pair.spacing) ** 2)
+        found = similarity.gather(1, partner.T).T
         most = similarity.amax(1)
         sums += torch.stack(
             [(weight * found).sum(-1), (weight * (most - found)).sum(-1), weight.sum(-1)], -1
