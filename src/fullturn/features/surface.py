@@ -52,9 +52,9 @@ def shell_counts(
 ) -> Float[Tensor, "k shells c"]:
     """Histograms of three pair angles around each keypoint, `bins` bins each, one a shell.
 
-    For a keypoint i and each point j with 0 < |d| < `radius`, d = pⱼ − pᵢ, the numbers cos ∠(nᵢ, d),
-    cos ∠(nⱼ, d) and cos ∠(nᵢ, nⱼ), or their absolute values unless `signed`, are counted in shells
-    of (|d|/radius)^`power`. Membership is linear between bin centers, in distance and in angle, so
+    For a keypoint i and each point j with 0 < |d| < `radius`, d = pⱼ − pᵢ, the numbers
+    cos ∠(nᵢ, d), cos ∠(nⱼ, d) and cos ∠(nᵢ, nⱼ), or their absolute values unless `signed`, are
+    counted in shells of (|d|/radius)^`power`. Membership is linear between bin centers, in distance and in angle, so
     noise moves counts smoothly, and each point j counts with the `area` that it stands for, so that
     dense parts don't drown the others. The points lie around the origin, and `distance` are their
     `distances`. Cost: k n.
@@ -91,9 +91,7 @@ def shell_counts(
     return between_ramps(parts, -1).clamp_min_(0).flatten(-2)
 
 
-def distances(
-    points: Float[Tensor, "n 3"], keypoints: Int[Tensor, " k"]
-) -> Float[Tensor, "k n"]:
+def distances(points: Float[Tensor, "n 3"], keypoints: Int[Tensor, " k"]) -> Float[Tensor, "k n"]:
     """From each keypoint to all points; exact for near ones."""
     return torch.cdist(points[keypoints], points, compute_mode="donot_use_mm_for_euclid_dist")
 

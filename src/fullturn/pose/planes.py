@@ -6,9 +6,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 
-def move_planes(
-    T: Float[Tensor, "k 4 4"], points: Float[Tensor, "3 n"]
-) -> Float[Tensor, "3 k n"]:
+def move_planes(T: Float[Tensor, "k 4 4"], points: Float[Tensor, "3 n"]) -> Float[Tensor, "3 k n"]:
     """R p + t of every pose and point."""
     return T[:, :3, :3].transpose(0, 1) @ points + T[:, :3, 3].T.unsqueeze(-1)
 

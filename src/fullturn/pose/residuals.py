@@ -23,7 +23,9 @@ def normal_equations(
     W = (1 − p) n nᵀ + p I with p = `point_share`: 0 is point-to-plane, 1 is point-to-point, between
     them sliding along the surface costs p times what leaving it costs.
     """
-    H, g = plane_equations(*(x.movedim(-1, 0).contiguous() for x in (at, difference, normal)), weight)
+    H, g = plane_equations(
+        *(x.movedim(-1, 0).contiguous() for x in (at, difference, normal)), weight
+    )
     if point_share == 0:
         return H, g
     H_point, g_point = _point_part(at, difference, weight)

@@ -40,9 +40,7 @@ def network_similarity(pair: LevelPair) -> Float[Tensor, "k l"] | None:
     network = network.to(pair.source.points.device)
     with torch.no_grad():
         source, target = (
-            network(
-                level.points, level.normals, level.area, level.keypoints, spacing=pair.spacing
-            )
+            network(level.points, level.normals, level.area, level.keypoints, spacing=pair.spacing)
             for level in (pair.source, pair.target)
         )
     return source @ target.T
