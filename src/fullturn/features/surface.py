@@ -54,10 +54,10 @@ def shell_counts(
 
     For a keypoint i and each point j with 0 < |d| < `radius`, d = pⱼ − pᵢ, the numbers
     cos ∠(nᵢ, d), cos ∠(nⱼ, d) and cos ∠(nᵢ, nⱼ), or their absolute values unless `signed`, are
-    counted in shells of (|d|/radius)^`power`. Membership is linear between bin centers, in distance and in angle, so
-    noise moves counts smoothly, and each point j counts with the `area` that it stands for, so that
-    dense parts don't drown the others. The points lie around the origin, and `distance` are their
-    `distances`. Cost: k n.
+    counted in shells of (|d|/radius)^`power`. Membership is linear between bin centers, in distance
+    and in angle, so noise moves counts smoothly, and each point j counts with the `area` that it
+    stands for, so that dense parts don't drown the others. The points lie around the origin, and
+    `distance` are their `distances`. Cost: k n.
     """
     at, at_normals = points[keypoints], normals[keypoints]
     above = (normals * points).sum(-1)
