@@ -85,7 +85,7 @@ def nearly_aligned(pair: Pair, rng: np.random.Generator) -> Pair:
 
 def collect(args: argparse.Namespace) -> None:
     torch.set_num_threads(1)
-    shapes = free_shapes(args.seed, args.data)
+    shapes = free_shapes(args.seed, args.data, meshes=2)
     args.out.mkdir(parents=True, exist_ok=True)
     for first in range(args.first, args.count, args.shard):
         kind = "dense" if args.dense else "finalists"
@@ -167,7 +167,8 @@ def fit(args: argparse.Namespace) -> None:
     mean, deviation = of_train.mean(0), of_train.std(0) + 1e-6
     # Without the descriptor network, its features can't be measured; the verdict knows that, too.
     without = torch.from_numpy(rng.random(len(inputs)) < WITHOUT_NETWORK) & ~held_out
-    columns = [FEATURES.index(name) + half for name in AGREEMENT for half in (0, len(FEATURES))]
+    width = len(FEATURES)
+    columns = [FEATURES.index(name) + part * width for name in AGREEMENT for part in range(3)]
     for column in columns:
         inputs[..., column].masked_fill_(without[:, None], torch.nan)
     generator = torch.Generator().manual_seed(args.seed)
