@@ -155,12 +155,9 @@ class _Occupancy:
             return torch.ones(queries.shape[:-1], dtype=torch.bool, device=queries.device)
         grow = max(1, math.ceil(steps))
         if grow not in self._grown:
-            pooled = torch.nn.functional.pad(self._table.float(), [grow] * 6)[None]
-            for axis in range(3):  # one after the other: the same cube for far less
-                width, pad = [1, 1, 1], [0, 0, 0]
-                width[axis], pad[axis] = 2 * grow + 1, grow
-                pooled = torch.nn.functional.max_pool3d(pooled, width, 1, pad)
-            self._grown[grow] = pooled[0].bool()
+            padded = torch.nn.functional.pad(self._table.float(), [grow] * 6)
+            pooled = torch.nn.functional.max_pool3d(padded[None], 2 * grow + 1, 1, grow)[0]
+            self._grown[grow] = pooled.bool()
         table = self._grown[grow]
         cell = ((queries - self._low) / self._cell).floor() + grow
         last = torch.tensor(table.shape, device=queries.device) - 1

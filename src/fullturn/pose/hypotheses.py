@@ -34,7 +34,7 @@ def compatibility(
     """
     at, to = source[matches.source], target[matches.target]
     at_normals, to_normals = source_normals[matches.source], target_normals[matches.target]
-    source_length, target_length = _distances(at), _distances(to)
+    source_length, target_length = torch.cdist(at, at), torch.cdist(to, to)
     apart = torch.minimum(source_length, target_length) > length_tolerance
     agreement = _falloff(source_length - target_length, length_tolerance)
     source_cosine = (at_normals @ at_normals.T).abs_()
@@ -127,10 +127,6 @@ def distinct(
                 break
             free &= ~close[position]
     return order[torch.tensor(kept, device=order.device)]
-
-
-def _distances(points: Float[Tensor, "k 3"]) -> Float[Tensor, "k k"]:
-    return torch.cdist(points, points, compute_mode="donot_use_mm_for_euclid_dist")
 
 
 def _falloff(value: Float[Tensor, "*s"], tolerance: float) -> Float[Tensor, "*s"]:

@@ -162,12 +162,9 @@ def _one_side(
     h: float,
 ) -> Float[Tensor, "k f"]:
     """The raw features of points moved onto the other surface, in the order of `_RAW`."""
-    reach = max(_CONFLICT_REACH, 2.0 * h)
-    partner, distance = other.index.nearest(points.reshape(-1, 3), within=reach)
+    partner, distance = other.index.nearest(points.reshape(-1, 3))
     partner, distance = partner.view(points.shape[:2]), distance.view(points.shape[:2])
     partner_normals = other.normals[partner]
-    # Without a partner in reach: the first point stands in, and the infinite distance keeps it out.
-    partner = partner.clamp_min(0)
     height = ((points - other.points[partner]) * partner_normals).sum(-1).abs()
     smooth_height = ((smooth - other.smooth[partner]) * partner_normals).sum(-1).abs() / h
     cosine = (normals * partner_normals).sum(-1).abs()
