@@ -257,9 +257,9 @@ def main() -> None:
     parser.add_argument("--dense", action="store_true", help="clouds of 5,000 points and more")
     parser.add_argument("--seed", type=int, default=20)
     parser.add_argument("--data", default=os.environ.get("FULLTURN_DATA"), help="mesh packs")
-    parser.add_argument("--hidden", type=int, default=32)
-    parser.add_argument("--steps", type=int, default=1200)
-    parser.add_argument("--weight-decay", type=float, default=0.03)
+    parser.add_argument("--hidden", type=int, default=64)
+    parser.add_argument("--steps", type=int, default=2000)
+    parser.add_argument("--weight-decay", type=float, default=0.5)
     parser.add_argument(
         "--weights", type=Path, default=Path("src/fullturn/weights/verdict.safetensors")
     )
