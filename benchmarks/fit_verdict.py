@@ -60,6 +60,9 @@ Scores on the fifth of the shapes that was held out:
 
 MISSING = 0.1  # share of the features, in each step of the fit
 WITHOUT_NETWORK = 0.15  # share of the pairs of the fit
+# Shapes unlike those of the fit are judged too surely: scores are made smaller by this, which cost
+# nothing measurable on `val` meshes of the research pack, and kept every kind's ECE below 0.05.
+SOFTENED = 0.9
 LIMITED = 0.15  # share of the pairs whose rotation is small, and known to be
 
 
@@ -85,7 +88,7 @@ def nearly_aligned(pair: Pair, rng: np.random.Generator) -> Pair:
 
 def collect(args: argparse.Namespace) -> None:
     torch.set_num_threads(1)
-    shapes = free_shapes(args.seed, args.data)
+    shapes = free_shapes(args.seed, args.data, meshes=2)
     args.out.mkdir(parents=True, exist_ok=True)
     for first in range(args.first, args.count, args.shard):
         kind = "dense" if args.dense else "finalists"
@@ -167,7 +170,8 @@ def fit(args: argparse.Namespace) -> None:
     mean, deviation = of_train.mean(0), of_train.std(0) + 1e-6
     # Without the descriptor network, its features can't be measured; the verdict knows that, too.
     without = torch.from_numpy(rng.random(len(inputs)) < WITHOUT_NETWORK) & ~held_out
-    columns = [FEATURES.index(name) + half for name in AGREEMENT for half in (0, len(FEATURES))]
+    width = len(FEATURES)
+    columns = [FEATURES.index(name) + part * width for name in AGREEMENT for part in range(3)]
     for column in columns:
         inputs[..., column].masked_fill_(without[:, None], torch.nan)
     generator = torch.Generator().manual_seed(args.seed)
@@ -208,7 +212,8 @@ def fit(args: argparse.Namespace) -> None:
         if step % 200 == 0:
             with torch.no_grad():
                 print(f"step {step}: train {value.item():.3f}, held out {loss(test).item():.3f}")
-    final = VerdictWeights(mean, deviation, *(p.detach() for p in parameters))
+    hidden, bias, output, none = (p.detach() for p in parameters)
+    final = VerdictWeights(mean, deviation, hidden, bias, SOFTENED * output, SOFTENED * none)
     scores = report(table, test, inputs, final)
     print(scores)
     tensors = {key: value.contiguous() for key, value in dataclasses.asdict(final).items()}
@@ -256,9 +261,9 @@ def main() -> None:
     parser.add_argument("--dense", action="store_true", help="clouds of 5,000 points and more")
     parser.add_argument("--seed", type=int, default=20)
     parser.add_argument("--data", default=os.environ.get("FULLTURN_DATA"), help="mesh packs")
-    parser.add_argument("--hidden", type=int, default=32)
-    parser.add_argument("--steps", type=int, default=1200)
-    parser.add_argument("--weight-decay", type=float, default=0.03)
+    parser.add_argument("--hidden", type=int, default=64)
+    parser.add_argument("--steps", type=int, default=2000)
+    parser.add_argument("--weight-decay", type=float, default=0.5)
     parser.add_argument(
         "--weights", type=Path, default=Path("src/fullturn/weights/verdict.safetensors")
     )

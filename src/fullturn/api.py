@@ -6,7 +6,6 @@ import time
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import torch
 
 from fullturn.batch import RegistrationInterrupted, check_seed, register_many
 from fullturn.errors import InputError
@@ -17,7 +16,7 @@ from fullturn.methods.check import check_max_rotation, run_method
 from fullturn.methods.registry import get, methods
 from fullturn.normalize import normalized_clouds
 from fullturn.pose.explain import explain, pose_overlap
-from fullturn.pose.search import find_finalists, measure_poses
+from fullturn.pose.search import find_finalists
 from fullturn.pose.verdict import load_weights, log_probabilities, same_pose, verdict_inputs
 from fullturn.result import Alternative, Registration, Symmetry
 from fullturn.threads import torch_threads
@@ -129,9 +128,10 @@ def _probabilities(source: Cloud, target: Cloud, estimate: Estimate) -> list[flo
     if estimate.success_probability is not None:
         return [float(p) for p in estimate.success_probability]
     T = estimate.T_target_source
-    found = find_finalists(source, target)
+    found = find_finalists(source, target, given=T)
     rivals = ~same_pose(found.T_target_source.to(T), T).any(1)
-    features = torch.cat([measure_poses(source, target, T), found.features[rivals]])
+    rivals[: len(T)] = True
+    features = found.features[rivals]
     # The method's own order stays: its best pose is its answer, whatever the verdict thinks.
     log_probability = log_probabilities(verdict_inputs(features.double()), load_weights())
     return [float(p) for p in log_probability.exp()[: len(T)]]

@@ -9,8 +9,9 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from fullturn.cli.main import build_app
+from fullturn.data.draw import ProtocolPairs
 from fullturn.data.frozen import freeze
-from fullturn.data.protocols import PROTOCOLS, ProtocolPairs
+from fullturn.data.protocols import PROTOCOLS
 from fullturn.data.shapes import ProceduralShapes
 
 

@@ -7,8 +7,9 @@ import typer
 from typer.testing import CliRunner
 
 from fullturn.cli.freeze import freeze
+from fullturn.data.draw import ProtocolPairs
 from fullturn.data.frozen import FrozenPairs
-from fullturn.data.protocols import PROTOCOLS, ProtocolPairs
+from fullturn.data.protocols import PROTOCOLS
 from fullturn.data.shapes import ProceduralShapes
 from fullturn.errors import InputError, WriteError
 

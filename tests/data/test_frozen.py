@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 from fullturn.data import provenance
+from fullturn.data.draw import ProtocolPairs
 from fullturn.data.frozen import FrozenPairs, freeze
 from fullturn.data.mixture import MixedPairs
 from fullturn.data.pair import Pair
 from fullturn.data.pair_set import PairSet
-from fullturn.data.protocols import PROTOCOLS, ProtocolPairs
+from fullturn.data.protocols import PROTOCOLS
 from fullturn.data.shapes import ProceduralShapes
 from fullturn.errors import InputError, ReadError, WriteError
 

@@ -2,10 +2,11 @@ from __future__ import annotations
 
 import pytest
 
+from fullturn.data.draw import ProtocolPairs
 from fullturn.data.hidden import BlindPairs
 from fullturn.data.mixture import MixedPairs
 from fullturn.data.pair_set import PairSet
-from fullturn.data.protocols import PROTOCOLS, ProtocolPairs
+from fullturn.data.protocols import PROTOCOLS
 from fullturn.data.shapes import ProceduralShapes
 
 SHAPES = ProceduralShapes(50, seed=4)

@@ -9,8 +9,9 @@ import pytest
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
+from fullturn.data.draw import ProtocolPairs
 from fullturn.data.motion import move
-from fullturn.data.protocols import PROTOCOLS, Protocol, ProtocolPairs
+from fullturn.data.protocols import PROTOCOLS, Protocol
 from fullturn.data.shapes import ProceduralShapes
 from fullturn.data.stored import StoredPoints
 

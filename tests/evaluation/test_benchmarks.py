@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fullturn.data.protocols import PROTOCOLS, ProtocolPairs
+from fullturn.data.draw import ProtocolPairs
+from fullturn.data.protocols import PROTOCOLS
 from fullturn.data.shapes import ProceduralShapes
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))

@@ -20,7 +20,8 @@ from run_pairs import listed_pairs, write_methods
 
 import covariance
 import limits
-from fullturn.data.protocols import PROTOCOLS, ProtocolPairs
+from fullturn.data.draw import ProtocolPairs
+from fullturn.data.protocols import PROTOCOLS
 from fullturn.data.shapes import ProceduralShapes
 from fullturn.evaluation.folders import read_runs
 from fullturn.evaluation.run import evaluate

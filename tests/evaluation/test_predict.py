@@ -8,8 +8,9 @@ import pytest
 from run_pairs import listed_pairs, write_methods
 
 import fullturn
+from fullturn.data.draw import ProtocolPairs
 from fullturn.data.pair import Pair
-from fullturn.data.protocols import PROTOCOLS, ProtocolPairs
+from fullturn.data.protocols import PROTOCOLS
 from fullturn.data.shapes import ProceduralShapes
 from fullturn.evaluation.predict import Predictor, pair_hash, predict
 from fullturn.methods.registry import get

@@ -12,7 +12,8 @@ import torch
 from safetensors.torch import save_file
 
 from fullturn import register
-from fullturn.data.protocols import PROTOCOLS, ProtocolPairs
+from fullturn.data.draw import ProtocolPairs
+from fullturn.data.protocols import PROTOCOLS
 from fullturn.data.shapes import ProceduralShapes
 from fullturn.errors import InputError, ReadError
 from fullturn.evaluation.fingerprint import fingerprint

@@ -25,6 +25,10 @@ def cloud(count: int = 150) -> tuple[Tensor, Tensor, Tensor]:
     return points, normals, local_area(points).float()
 
 
+def everyone(points: Tensor) -> Tensor:
+    return torch.arange(len(points))
+
+
 @pytest.fixture(scope="module")
 def network() -> SurfaceNet:
     torch.manual_seed(0)
@@ -35,7 +39,7 @@ def network() -> SurfaceNet:
 def described(
     network: SurfaceNet, points: Tensor, normals: Tensor, area: Tensor, scale: float = 1.0
 ) -> Tensor:
-    found: Tensor = network(points, normals, area, spacing=0.1 * scale)
+    found: Tensor = network(points, normals, area, everyone(points), spacing=0.1 * scale)
     return found
 
 
@@ -55,7 +59,7 @@ def test_signed_counts_agree_with_counting_by_hand() -> None:
     points, normals, area = (part.double() for part in cloud(40))
     radius, shells, bins, power = 0.8, 4, 5, 0.7
     found = shell_counts(
-        points, normals, area, distances(points),
+        points, normals, area, distances(points, everyone(points)), everyone(points),
         radius=radius, shells=shells, bins=bins, signed=True, power=power,
     )  # fmt: skip
 
@@ -78,11 +82,24 @@ def test_signed_counts_agree_with_counting_by_hand() -> None:
     torch.testing.assert_close(found, expected.flatten(-2), atol=1e-9, rtol=1e-9)
 
 
+def test_keypoints_are_told_of_all_points(network: SurfaceNet) -> None:
+    points, normals, area = cloud()
+    some = torch.arange(0, len(points), 3)
+    distance = distances(points, everyone(points)), distances(points, some)
+    assert torch.equal(distance[0][some], distance[1])
+    told = [
+        network.surroundings(points / 0.1, normals, area, of / 0.1, keypoints)
+        for of, keypoints in zip(distance, (everyone(points), some), strict=True)
+    ]
+    torch.testing.assert_close(told[0][some], told[1])
+
+
 def test_context_are_means_over_shells() -> None:
     points, _, area = (part.double() for part in cloud(30))
     values = torch.randn(30, 2, generator=torch.Generator().manual_seed(0)).double()
     radius, shells = 1.0, 3
-    found = surface._shell_means(values, area, distances(points), radius=radius, shells=shells)
+    distance = distances(points, everyone(points))
+    found = surface._shell_means(values, area, distance, radius=radius, shells=shells)
     for i in range(30):
         distance = (points - points[i]).norm(dim=1)
         for shell in range(shells):
@@ -95,7 +112,7 @@ def test_context_are_means_over_shells() -> None:
 def test_training_reaches_every_weight(network: SurfaceNet) -> None:
     points, normals, area = cloud()
     network.zero_grad()
-    network(points, normals, area, spacing=0.1)[:, 0].sum().backward()
+    network(points, normals, area, everyone(points), spacing=0.1)[:, 0].sum().backward()
     assert all(bool((p.grad != 0).any()) for p in network.parameters() if p.grad is not None)
     assert all(p.grad is not None for p in network.parameters())
 
@@ -107,7 +124,7 @@ def test_the_weights_in_the_package() -> None:
     points, normals, area = cloud(400)
     spacing = point_spacing(points)
     with torch.no_grad():
-        found = network(points, normals, area, spacing=spacing)
+        found = network(points, normals, area, everyone(points), spacing=spacing)
     # Trained: the descriptors of one cloud tell its points apart.
     alike = found @ found.T
     assert float(alike.median()) < 0.5

@@ -23,7 +23,8 @@ def grid_of(count: int, dtype: torch.dtype = torch.float64) -> tuple[Tensor, Nea
 
 
 def queries(count: int, *, seed: int = 0, reach: float = 1.3) -> Tensor:
-    return torch.from_numpy(np.random.default_rng(seed).uniform(-reach, reach, (count, 3)))
+    """Coordinates first, as the grid takes them."""
+    return torch.from_numpy(np.random.default_rng(seed).uniform(-reach, reach, (count, 3))).T
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
@@ -31,7 +32,7 @@ def test_the_nearest_point_within_a_cell(dtype: torch.dtype) -> None:
     points, grid = grid_of(1500, dtype)
     asked = queries(20_000).to(dtype)
     index = grid.index(asked)
-    exact, nearest = cKDTree(points.double().numpy()).query(asked.double().numpy())
+    exact, nearest = cKDTree(points.double().numpy()).query(asked.double().T.numpy())
     assert grid.cell == CELL
     # One cell each for the query and the point: neither lies more than half a diagonal off center.
     surely = torch.from_numpy(exact < BAND - DIAGONAL)
@@ -41,7 +42,7 @@ def test_the_nearest_point_within_a_cell(dtype: torch.dtype) -> None:
     assert bool((index[surely] < len(points)).all())
     assert bool((index[surely_not] == len(points)).all())
     hit = index < len(points)
-    apart = (asked[hit] - points[index[hit].long()]).double().norm(dim=1).numpy()
+    apart = (asked.T[hit] - points[index[hit].long()]).double().norm(dim=1).numpy()
     excess = apart - exact[hit.numpy()]
     assert excess.min() > -1e-6
     assert excess.max() < 2 * DIAGONAL
@@ -51,32 +52,32 @@ def test_the_nearest_point_within_a_cell(dtype: torch.dtype) -> None:
 
 def test_a_point_finds_one_in_its_own_cell() -> None:
     points, grid = grid_of(800)
-    difference, _ = grid.nearest(points)
-    assert float(difference.norm(dim=1).max()) <= DIAGONAL
-    assert float((difference.norm(dim=1) == 0).double().mean()) > 0.6
+    difference, _ = grid.nearest(points.T)
+    assert float(difference.norm(dim=0).max()) <= DIAGONAL
+    assert float((difference.norm(dim=0) == 0).double().mean()) > 0.6
 
 
 def test_far_queries_have_no_neighbor_on_any_side() -> None:
     points, grid = grid_of(400)
     directions = torch.cat([torch.eye(3), -torch.eye(3), torch.tensor([[1.0, -2, 3]])]).double()
     for distance in (1.5, 3.0, 1e3, 1e7):
-        assert bool((grid.index(directions * distance) == len(points)).all())
-        difference, normal = grid.nearest(directions * distance)
-        assert float(difference.norm(dim=1).min()) > 100.0
+        assert bool((grid.index(directions.T * distance) == len(points)).all())
+        difference, normal = grid.nearest(directions.T * distance)
+        assert float(difference.norm(dim=0).min()) > 100.0
         assert float(normal.abs().max()) == 0.0
 
 
 def test_nearest_is_the_difference_and_the_normal_of_the_index() -> None:
     points, grid = grid_of(500)
     _, normals = teapot(500)
-    asked = queries(300, seed=1).view(10, 30, 3)
+    asked = queries(300, seed=1).reshape(3, 10, 30)
     index = grid.index(asked)
     assert index.shape == (10, 30)
     difference, normal = grid.nearest(asked)
     hit = index < 500
-    torch.testing.assert_close(difference[hit], asked[hit] - points[index[hit].long()])
-    torch.testing.assert_close(normal[hit], normals[index[hit].long()])
-    for one, item in zip(index, asked, strict=True):
+    torch.testing.assert_close(difference[:, hit], asked[:, hit] - points[index[hit].long()].T)
+    torch.testing.assert_close(normal[:, hit], normals[index[hit].long()].T)
+    for one, item in zip(index, asked.unbind(1), strict=True):
         assert torch.equal(grid.index(item), one)
 
 
@@ -92,22 +93,22 @@ def test_stray_points_are_left_out_and_the_others_keep_their_index() -> None:
     hit = expected < 300
     assert torch.equal(index[hit], expected[hit] + 1)
     assert bool((index[~hit] == 302).all())
-    assert bool((grid.index(stray) == 302).all())
+    assert bool((grid.index(stray.T) == 302).all())
 
 
 def test_a_cloud_that_is_all_astray_still_has_neighbors() -> None:
     points, normals = teapot(100)
     grid = NearestGrid(points + 50.0, normals, cell=CELL, band=BAND)
-    difference, _ = grid.nearest(points + 50.0)
-    assert float(difference.norm(dim=1).max()) < 2 * DIAGONAL
+    difference, _ = grid.nearest(points.T + 50.0)
+    assert float(difference.norm(dim=0).max()) < 2 * DIAGONAL
 
 
 def test_a_large_box_gets_larger_cells_and_stays_right() -> None:
     points, normals = teapot(200)
     grid = NearestGrid(points, normals, cell=1e-3, band=2e-3, reach=2.0)
     assert grid.cell > 1e-3
-    difference, _ = grid.nearest(points)
-    assert float(difference.norm(dim=1).max()) <= math.sqrt(3.0) * grid.cell
+    difference, _ = grid.nearest(points.T)
+    assert float(difference.norm(dim=0).max()) <= math.sqrt(3.0) * grid.cell
 
 
 @pytest.mark.parametrize("kind", ["one point", "copies", "line", "plane"])
@@ -120,10 +121,10 @@ def test_degenerate_clouds(kind: str) -> None:
         "plane": points * torch.tensor([1.0, 1.0, 0]),
     }[kind].double()
     grid = NearestGrid(points, normals[: len(points)], cell=CELL, band=BAND)
-    difference, _ = grid.nearest(points)
-    assert float(difference.norm(dim=1).max()) <= DIAGONAL
+    difference, _ = grid.nearest(points.T)
+    assert float(difference.norm(dim=0).max()) <= DIAGONAL
     beside = points + torch.tensor([0.0, 0, BAND + 2 * DIAGONAL])
-    assert bool((grid.index(beside) == len(points)).all())
+    assert bool((grid.index(beside.T) == len(points)).all())
 
 
 def test_queries_are_not_modified() -> None:

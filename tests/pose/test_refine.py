@@ -90,4 +90,4 @@ def test_tukey() -> None:
     lengths = torch.tensor([0.0, 0.5, 1.0, 2.0, 5.0])
     along = torch.nn.functional.pad(lengths[:, None], (0, 2))
     expected = torch.tensor([1.0, (1 - 0.25 / 4) ** 2, (1 - 0.25) ** 2, 0.0, 0.0])
-    torch.testing.assert_close(tukey(along, 2.0), expected)
+    torch.testing.assert_close(tukey(along.T, 2.0), expected)

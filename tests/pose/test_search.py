@@ -12,7 +12,7 @@ from torch import Tensor
 
 from fullturn.geometry import rigid
 from fullturn.geometry.cloud import Cloud
-from fullturn.pose.search import Finalists, SearchConfig, find_finalists, measure_poses
+from fullturn.pose.search import Finalists, SearchConfig, find_finalists
 from fullturn.pose.verify import FEATURES
 
 T_TRUE = random_motions(1, seed=4)[0]
@@ -91,10 +91,13 @@ def test_the_inputs_are_not_modified() -> None:
 
 def test_a_pose_from_elsewhere_is_measured_alike() -> None:
     finalists = found()
-    for T, row in zip(finalists.T_target_source[:3], finalists.features, strict=False):
-        measured = measure_poses(*clouds(), T[None], config=SMALL)
-        assert measured.shape == (1, len(FEATURES))
-        torch.testing.assert_close(measured[0], row, atol=0.02, rtol=0)
+    given = finalists.T_target_source[:3]
+    again = find_finalists(*clouds(), config=SMALL, given=given)
+    torch.testing.assert_close(again.T_target_source[: len(given)], given)
+    torch.testing.assert_close(
+        again.features[: len(given)], finalists.features[: len(given)], atol=0.02, rtol=0
+    )
+    torch.testing.assert_close(again.features[len(given) :], finalists.features)
 
 
 @pytest.mark.parametrize("count", [3, 4, 10, 50])

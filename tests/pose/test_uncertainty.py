@@ -8,7 +8,8 @@ import torch
 from pose_shapes import random_motions, teapot
 from torch import Tensor
 
-from fullturn.data.protocols import PROTOCOLS, ProtocolPairs
+from fullturn.data.draw import ProtocolPairs
+from fullturn.data.protocols import PROTOCOLS
 from fullturn.data.shapes import ProceduralShapes
 from fullturn.geometry import rigid
 from fullturn.geometry.cloud import Cloud

@@ -32,9 +32,9 @@ def weights(seed: int = 0, *, features: int = F) -> VerdictWeights:
         return torch.from_numpy(np.asarray(rng.normal(size=shape)))
 
     return VerdictWeights(
-        mean=draw(2 * features),
-        deviation=draw(2 * features).abs() + 0.5,
-        hidden=draw(2 * features, 4),
+        mean=draw(3 * features),
+        deviation=draw(3 * features).abs() + 0.5,
+        hidden=draw(3 * features, 4),
         hidden_bias=draw(4),
         output=draw(4),
         none=draw(),
@@ -50,12 +50,12 @@ def rows(count: int, *, seed: int = 0) -> Tensor:
     return torch.from_numpy(np.random.default_rng(seed).normal(size=(count, F)))
 
 
-def test_inputs_are_the_features_and_their_lead_over_the_lowest() -> None:
+def test_inputs_are_the_features_and_how_far_they_lie_from_the_rivals() -> None:
     features = rows(5)
     inputs = verdict_inputs(features)
     torch.testing.assert_close(inputs[:, :F], features)
-    torch.testing.assert_close(inputs[:, F:], features - features.min(0).values)
-    assert float(inputs[:, F:].min()) == 0.0
+    torch.testing.assert_close(inputs[:, F : 2 * F], features - features.min(0).values)
+    torch.testing.assert_close(inputs[:, 2 * F :], features - features.max(0).values)
 
 
 def test_absent_finalists_are_as_if_they_were_not_there() -> None:
@@ -155,7 +155,7 @@ def test_the_shipped_weights_fit_the_features() -> None:
     from fullturn.pose.verify import FEATURES
 
     shipped = load_weights()
-    inputs = 2 * len(FEATURES)
+    inputs = 3 * len(FEATURES)
     assert shipped.mean.shape == shipped.deviation.shape == (inputs,)
     assert shipped.hidden.shape[0] == inputs
     assert shipped.hidden.shape[1:] == shipped.hidden_bias.shape == shipped.output.shape

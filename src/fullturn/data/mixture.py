@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from fullturn.data.draw import make_pair
 from fullturn.data.motion import uniform_direction
 from fullturn.data.pair import Pair
 from fullturn.data.pair_set import PairSet, check_count
-from fullturn.data.protocols import PROTOCOLS, make_pair
+from fullturn.data.protocols import PROTOCOLS
 from fullturn.data.random_sensor import random_sensor
 from fullturn.data.scan import scan_pair
 from fullturn.data.shapes import MeshSource

@@ -6,13 +6,14 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
+from fullturn.data.draw import ProtocolPairs
 from fullturn.data.frozen import FrozenPairs
 from fullturn.data.mixture import MixedPairs
 from fullturn.data.mvp_rg import MvpRgPairs, is_built
 from fullturn.data.official import ModelNet40Hdf5, OfficialModelNet40
 from fullturn.data.official_mvp import OfficialMvp, is_mvp_file
 from fullturn.data.pair_set import PairSet
-from fullturn.data.protocols import PROTOCOLS, ProtocolPairs
+from fullturn.data.protocols import PROTOCOLS
 from fullturn.data.shapes import (
     PACK_KEYS,
     MeshFolder,

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Mapping, Sequence
-from importlib import resources
 
-import fullturn
 from fullturn.evaluation.layout import Table, html_section
+from fullturn.viz import page
 
 _STYLE = """
 main { grid-template-columns: minmax(0, 1fr); }
@@ -30,7 +29,6 @@ def render_page(tables: Sequence[Table], pictures: Mapping[str, bytes], *, title
 
     `pictures` are PNG files by name.
     """
-    style = resources.files("fullturn.viz") / "assets" / "report.css"
     figures = "".join(
         f'<section class="card" id="{name}">\n<h2>{CAPTIONS[name]}</h2>\n<figure>'
         f'<img alt="{CAPTIONS[name]}: the figures behind it stand in the tables" '
@@ -38,17 +36,6 @@ def render_page(tables: Sequence[Table], pictures: Mapping[str, bytes], *, title
         "</section>\n"
         for name, png in pictures.items()
     )
-    return (
-        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        '<meta name="color-scheme" content="light dark">\n'
-        f'<meta name="generator" content="fullturn {fullturn.__version__}">\n'
-        '<meta http-equiv="Content-Security-Policy" content="default-src \'none\'; '
-        "style-src 'unsafe-inline'; img-src data:\">\n"
-        f'<title>{title}</title>\n<link rel="icon" href="data:,">\n'
-        f"<style>\n{style.read_text(encoding='utf-8')}{_STYLE}</style>\n</head>\n<body>\n"
-        f"<header><h1>{title}</h1></header>\n<main>\n"
-        f"{html_section(tables[0])}{figures}{''.join(map(html_section, tables[1:]))}"
-        f"</main>\n<footer>Written by fullturn {fullturn.__version__}. This file is complete in "
-        "itself and works offline.</footer>\n</body>\n</html>\n"
-    )
+    sections = f"{html_section(tables[0])}{figures}{''.join(map(html_section, tables[1:]))}"
+    body = "<header><h1>$title</h1></header>\n<main>\n$sections</main>"
+    return page.render_page(body, {"title": title, "sections": sections}, title=title, style=_STYLE)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 # Rows of the pair matrices worked on at once: their blocks then stay in the processor's cache.
@@ -16,17 +16,23 @@ def surface_histogram(
     area: Float[Tensor, " n"],
     *,
     radius: float,
+    keypoints: Int[Tensor, " k"] | None = None,
     shells: int = 5,
     bins: int = 5,
-) -> Float[Tensor, "n c"]:
+) -> Float[Tensor, "k c"]:
     """Shares of the sign-free pair angles in shells of distance, which no rigid motion changes.
 
     `shell_counts` without signs; rows have unit length: square roots of shares (Hellinger), so that
     a dot product compares two of them. `radius` is in the unit of the points; the caller gives it
-    as a multiple of their spacing, which makes the result independent of scale.
+    as a multiple of their spacing, which makes the result independent of scale. Without
+    `keypoints`, all points are described.
     """
+    if keypoints is None:
+        keypoints = torch.arange(len(points), device=points.device)
+    points = points - points.mean(0)
+    distance = distances(points, keypoints)
     counts = shell_counts(
-        points, normals, area, distances(points), radius=radius, shells=shells, bins=bins
+        points, normals, area, distance, keypoints, radius=radius, shells=shells, bins=bins
     ).flatten(1)
     return (counts / counts.sum(-1, keepdim=True).clamp_min(1e-12)).sqrt_()
 
@@ -35,28 +41,30 @@ def shell_counts(
     points: Float[Tensor, "n 3"],
     normals: Float[Tensor, "n 3"],
     area: Float[Tensor, " n"],
-    distance: Float[Tensor, "n n"],
+    distance: Float[Tensor, "k n"],
+    keypoints: Int[Tensor, " k"],
     *,
     radius: float,
     shells: int,
     bins: int,
     signed: bool = False,
     power: float = 1.0,
-) -> Float[Tensor, "n shells c"]:
-    """Histograms of three pair angles around each point, `bins` bins each, one a shell.
+) -> Float[Tensor, "k shells c"]:
+    """Histograms of three pair angles around each keypoint, `bins` bins each, one a shell.
 
-    For a point i and each point j with 0 < |d| < `radius`, d = pⱼ − pᵢ, the numbers cos ∠(nᵢ, d),
-    cos ∠(nⱼ, d) and cos ∠(nᵢ, nⱼ), or their absolute values unless `signed`, are counted in shells
-    of (|d|/radius)^`power`. Membership is linear between bin centers, in distance and in angle, so
-    noise moves counts smoothly, and each point j counts with the `area` that it stands for, so that
-    dense parts don't drown the others. `distance` are the `distances` of the points. Cost: n².
+    For a keypoint i and each point j with 0 < |d| < `radius`, d = pⱼ − pᵢ, the numbers
+    cos ∠(nᵢ, d), cos ∠(nⱼ, d) and cos ∠(nᵢ, nⱼ), or their absolute values unless `signed`, are
+    counted in shells of (|d|/radius)^`power`. Membership is linear between bin centers, in distance
+    and in angle, so noise moves counts smoothly, and each point j counts with the `area` that it
+    stands for, so that dense parts don't drown the others. The points lie around the origin, and
+    `distance` are their `distances`. Cost: k n.
     """
-    points = points - points.mean(0)
-    own = normals @ points.T
-    own -= (normals * points).sum(-1, keepdim=True)
-    own *= distance.clamp_min(1e-12).reciprocal_()
-    other = -own.T.contiguous() if signed else own.T.contiguous()
-    cosines = [own, other, normals @ normals.T]
+    at, at_normals = points[keypoints], normals[keypoints]
+    above = (normals * points).sum(-1)
+    own = (at_normals @ points.T).sub_(above[keypoints].unsqueeze(-1))
+    other = (at @ normals.T).neg_().add_(above)
+    inverse = distance.clamp_min(1e-12).reciprocal_()
+    cosines = [own.mul_(inverse), other.mul_(inverse), at_normals @ normals.T]
     for cosine in cosines:
         if signed:
             cosine.add_(1).mul_(0.5 * bins).sub_(0.5)
@@ -64,12 +72,12 @@ def shell_counts(
             cosine.abs_().mul_(bins).sub_(0.5)
     weight = area * ((distance > 1e-6 * radius) & (distance < radius))
     shell = shell_position(distance, radius=radius, shells=shells, power=power)
-    n = len(points)
-    counts = points.new_empty(n, shells, 1 + 3 * (bins - 1))
+    k, n = distance.shape
+    counts = points.new_empty(k, shells, 1 + 3 * (bins - 1))
     in_shell = points.new_empty(_ROWS_AT_ONCE, shells, n)
     in_bin = points.new_ones(_ROWS_AT_ONCE, 1 + 3 * (bins - 1), n)
-    for first in range(0, n, _ROWS_AT_ONCE):
-        rows = slice(first, min(first + _ROWS_AT_ONCE, n))
+    for first in range(0, k, _ROWS_AT_ONCE):
+        rows = slice(first, min(first + _ROWS_AT_ONCE, k))
         block = slice(0, rows.stop - first)
         ramps(shell[rows], shells, out=in_shell[block]).mul_(weight[rows].unsqueeze(-2))
         for number, cosine in enumerate(cosines):
@@ -83,10 +91,9 @@ def shell_counts(
     return between_ramps(parts, -1).clamp_min_(0).flatten(-2)
 
 
-def distances(points: Float[Tensor, "n 3"]) -> Float[Tensor, "n n"]:
-    """Between any two points; exact for near ones."""
-    points = points - points.mean(0)
-    return torch.cdist(points, points, compute_mode="donot_use_mm_for_euclid_dist")
+def distances(points: Float[Tensor, "n 3"], keypoints: Int[Tensor, " k"]) -> Float[Tensor, "k n"]:
+    """From each keypoint to all points; exact for near ones."""
+    return torch.cdist(points[keypoints], points, compute_mode="donot_use_mm_for_euclid_dist")
 
 
 def shell_position(

@@ -46,5 +46,6 @@ def describe(
         if network is None:
             found = surface_histogram(thin, normals, area, radius=_HISTOGRAM_RADIUS * spacing)
         else:
-            found = network.to(thin.device)(thin, normals, area, spacing=spacing)
+            everyone = torch.arange(len(thin), device=thin.device)
+            found = network.to(thin.device)(thin, normals, area, everyone, spacing=spacing)
     return Described(thin, normals, area, found)

@@ -16,6 +16,7 @@ from fullturn.geometry import rigid
 from fullturn.locating.model import PreparedModel
 from fullturn.locating.verify import FEATURES
 from fullturn.pose.grid import NearestGrid
+from fullturn.pose.planes import move_planes
 from fullturn.pose.verdict import VerdictWeights, log_probabilities, same_pose, verdict_inputs
 
 SAME_SURFACE = 0.05  # of the diameter: the farthest that a point of one placement is off the other
@@ -46,11 +47,10 @@ def same_surface(
     rows = slice(None, None, max(1, len(model.surface) // _COMPARED))
     points = model.surface[rows]
     between = rigid.invert(other)[None] @ T_scene_model[:, None]
-    moved = rigid.apply(between.flatten(0, 1), points)
-    difference, _ = model_grid.nearest(moved)
+    difference, _ = model_grid.nearest(move_planes(between.flatten(0, 1), points.T))
     # Points stand for all around them, half a spacing away.
     tolerance = SAME_SURFACE * model.diameter / model.radius + 0.5 * model.spacing
-    far = difference.square().sum(-1).amax(1).sqrt().view(between.shape[:2])
+    far = difference.square().sum(0).amax(1).sqrt().view(between.shape[:2])
     return (far < tolerance) | same_pose(T_scene_model, other)
 
 

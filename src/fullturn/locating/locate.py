@@ -123,7 +123,7 @@ class _Search:
         Parts are looked at from the largest on; where the model surely is in one, no others are.
         """
         grid = grid_of(self.model)
-        free = torch.ones(len(self.scene.points), dtype=torch.bool, device=grid.points.device)
+        free = torch.ones(len(self.scene.points), dtype=torch.bool, device=self.scene.points.device)
         while True:
             parts = free_parts(self.scene, free, self.model, limit=self.config.parts)
             best: _Place | None = None
@@ -152,8 +152,9 @@ class _Search:
 
     def _explained(self, place: _Place, grid: NearestGrid) -> Tensor:
         T = place.found.T_scene_model[place.judged.index[0]]
-        difference, _ = grid.nearest(rigid.apply(rigid.invert(T), self.scene.points).float())
-        return difference.norm(dim=1) < _EXPLAINED * self.scene.spacing
+        there = rigid.apply(rigid.invert(T), self.scene.points).float()
+        difference, _ = grid.nearest(there.T)
+        return difference.norm(dim=0) < _EXPLAINED * self.scene.spacing
 
 
 @dataclass(frozen=True, eq=False)

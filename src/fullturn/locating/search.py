@@ -13,11 +13,12 @@ from fullturn.geometry.sampling import point_spacing
 from fullturn.locating.describe import describe
 from fullturn.locating.model import DescribedViews, PreparedModel
 from fullturn.locating.part import Part
-from fullturn.locating.refine import refine_visible
 from fullturn.locating.visible import best_views, nearest_views, view_directions
 from fullturn.matching.correspondence import Matches, candidate_matches
 from fullturn.pose import hypotheses
 from fullturn.pose.grid import NearestGrid
+from fullturn.pose.planes import move_planes, squared_falloff
+from fullturn.pose.refine import refine_poses
 
 
 @dataclass(frozen=True)
@@ -140,9 +141,10 @@ class _Sampled:
 
     def _explained(self, T: Tensor, *, truncation: float) -> Tensor:
         parts = []
+        surface = self._surface.T.contiguous()
         for some in T.split(128):
-            difference, _ = self._part.grid.nearest(rigid.apply(some, self._surface))
-            parts.append((1 - difference.square().sum(-1) / truncation**2).clamp_min_(0))
+            difference, _ = self._part.grid.nearest(move_planes(some, surface))
+            parts.append(squared_falloff(difference.square_().sum(0), truncation))
         return torch.cat(parts)
 
     def score(self, T: Tensor, *, truncation: float) -> Tensor:
@@ -156,14 +158,14 @@ class _Sampled:
         return there + (explained * visible).sum(1) / visible.sum(1).clamp_min(1e-6)
 
     def refine(self, T: Tensor, *, scales: tuple[float, ...]) -> Tensor:
-        seen, direction = self.views(T)
-        return refine_visible(
+        seen, eye = self.views(T)
+        return refine_poses(
             T,
             self._surface,
             self._points,
             self._grid,
             self._part.grid,
             seen=seen,
-            direction=direction,
+            eye=eye,
             scales=scales,
         )

@@ -16,6 +16,7 @@ from fullturn.locating.part import Part
 from fullturn.locating.planes import Plane
 from fullturn.locating.visible import best_views, view_directions
 from fullturn.pose.grid import NearestGrid
+from fullturn.pose.planes import move_planes, turn_planes
 
 # h is the point spacing of the part, d the distance to the nearest point of the other side; "near"
 # means d < 1.5 h. "Part": those of its points that the model could reach at the pose. "Seen": the
@@ -65,10 +66,11 @@ def measure(
 ) -> Measured:
     """One row of `FEATURES` per pose of the model in the part's frame; float32."""
     T, h, k = T_scene_model, part.spacing, len(T_scene_model)
-    R, t = T[:, :3, :3], T[:, None, :3, 3]
-    surface = rigid.apply(T, model.surface)
+    R = T[:, :3, :3]
+    surface = move_planes(T, model.surface.T)
     difference, scene_normal = part.grid.nearest(surface)
-    d = difference.square().sum(-1).sqrt() / h
+    surface = surface.permute(1, 2, 0)
+    d = difference.square().sum(0).sqrt() / h
     sight, viewpoint = part.sight, part.viewpoint
     if sight is None or viewpoint is None:
         reach = (1 - (d / 3.0) ** 2).clamp_min(0)
@@ -79,22 +81,22 @@ def measure(
         direction = view_directions(T, viewpoint)
     weight = model.area * seen
     weight = weight / weight.sum(1, keepdim=True).clamp_min(1e-6)
-    height = (difference * scene_normal).sum(-1) / h
-    cosine = ((model.normals @ R.mT) * scene_normal).sum(-1).abs()
+    height = (difference * scene_normal).sum(0) / h
+    cosine = (turn_planes(R, model.normals.T) * scene_normal).sum(0).abs()
     seen_side = _side(d, height, cosine, weight)
     has_partner = (d < 1.5) * model.area
     union = (has_partner + model.area * seen).clamp_max(model.area).sum(1)
     share = (has_partner * seen).sum(1) / union.clamp_min(1e-6)
 
-    local = (part.points - t) @ R
+    local = move_planes(rigid.invert(T), part.points.T)
     difference, normal = model_grid.nearest(local)
-    distance = difference.square().sum(-1).sqrt() / h
-    within = local.norm(dim=-1) < 1.0 + 2.0 * h
+    distance = difference.square().sum(0).sqrt() / h
+    within = local.norm(dim=0) < 1.0 + 2.0 * h
     part_weight = part.area * within
     part_weight = part_weight / part_weight.sum(1, keepdim=True).clamp_min(1e-6)
-    height = (difference * normal).sum(-1) / h
-    cosine = (normal * (part.normals @ R)).sum(-1).abs()
-    behind = (distance < 1.5) & ((normal @ direction[..., None])[..., 0] < -0.1)
+    height = (difference * normal).sum(0) / h
+    cosine = (normal * turn_planes(R.mT, part.normals.T)).sum(0).abs()
+    behind = (distance < 1.5) & ((normal * direction.T.unsqueeze(-1)).sum(0) < -0.1)
     part_side = _side(distance, height, cosine, part_weight)
     part_side.insert(5, (behind * part_weight).sum(1))
     near = (distance < 1.5) * part_weight

@@ -51,8 +51,8 @@ class Consensus(Method):
     traits = Traits(limits_rotation=True)
     config: ClassVar[ConsensusConfig] = ConsensusConfig()
 
-    def similarity(self, pair: LevelPair) -> Float[Tensor, "n m"] | None:
-        """How alike the points of both clouds are, by which matches are found.
+    def similarity(self, pair: LevelPair) -> Float[Tensor, "k l"] | None:
+        """How alike the keypoints of both clouds are, by which matches are found.
 
         None: by the descriptor that the configuration names.
         """

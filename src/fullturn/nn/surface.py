@@ -8,7 +8,7 @@ from functools import cache
 from importlib import resources
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor, nn
 from torch.nn import functional
 
@@ -25,9 +25,9 @@ class SurfaceNetConfig:
     shells: int = 6
     bins: int = 6
     context_shells: int = 4
-    hidden: int = 96
-    context: int = 32
-    wide: int = 128
+    hidden: int = 128
+    context: int = 48
+    wide: int = 192
     channels: int = 64  # of a descriptor
 
 
@@ -37,8 +37,8 @@ class SurfaceNet(nn.Module):
     1. Counts of signed pair angles in shells (`shell_counts`): their square roots, and the log of
        the area in each shell.
     2. A small perceptron.
-    3. Means of its output over shells of neighbors, and a second perceptron: a point learns what
-       kinds of surface lie how far away.
+    3. Means of its output over shells of neighboring keypoints, and a second perceptron: a point
+       learns what kinds of surface lie how far away.
 
     No order of neighbors, no coordinates, lengths in point spacings: what comes out depends on
     neither pose, scale nor the order of the points.
@@ -71,28 +71,32 @@ class SurfaceNet(nn.Module):
         points: Float[Tensor, "n 3"],
         normals: Float[Tensor, "n 3"],
         area: Float[Tensor, " n"],
+        keypoints: Int[Tensor, " k"],
         *,
         spacing: float,
-    ) -> Float[Tensor, "n c"]:
-        """`spacing` is that of the points, in their unit."""
+    ) -> Float[Tensor, "k c"]:
+        """Descriptors of the keypoints; `spacing` is that of all points, in their unit."""
         points = (points - points.mean(0)) / spacing
-        distance = distances(points)
-        return self.describe(self.surroundings(points, normals, area, distance), area, distance)
+        distance = distances(points, keypoints)
+        told = self.surroundings(points, normals, area, distance, keypoints)
+        return self.describe(told, area[keypoints], distance[:, keypoints])
 
     def surroundings(
         self,
         points: Float[Tensor, "n 3"],
         normals: Float[Tensor, "n 3"],
         area: Float[Tensor, " n"],
-        distance: Float[Tensor, "n n"],
-    ) -> Float[Tensor, "n i"]:
-        """What the network is told of each point; no weights of it take part."""
+        distance: Float[Tensor, "k n"],
+        keypoints: Int[Tensor, " k"],
+    ) -> Float[Tensor, "k i"]:
+        """What the network is told of each keypoint; no weights of it take part."""
         config = self.config
         counts = shell_counts(
             points,
             normals,
             area,
             distance,
+            keypoints,
             radius=config.radius,
             shells=config.shells,
             bins=config.bins,
@@ -104,11 +108,11 @@ class SurfaceNet(nn.Module):
 
     def describe(
         self,
-        surroundings: Float[Tensor, "n i"],
-        area: Float[Tensor, " n"],
-        distance: Float[Tensor, "n n"],
-    ) -> Float[Tensor, "n c"]:
-        """Descriptors from surroundings; distances between the points, in their spacing."""
+        surroundings: Float[Tensor, "k i"],
+        area: Float[Tensor, " k"],
+        distance: Float[Tensor, "k k"],
+    ) -> Float[Tensor, "k c"]:
+        """Descriptors from surroundings; distances between the keypoints, in point spacings."""
         own = self.own((surroundings - self.mean) / self.deviation)
         offered = self.offered(own)
         around = _shell_means(

@@ -19,7 +19,7 @@ _MUTUAL_INDEPENDENT, _MUTUAL_SAME = 0.54, 0.66
 _LEAST_POINT_SHARE = 0.01
 # Rounds begin with about so many points of each cloud, as long as steps are longer than this share
 # of the noise; the pose has settled when they are shorter than the second.
-_FIRST_POINTS = 600
+_FIRST_POINTS = 300
 _NEAR, _SETTLED = 0.1, 0.02
 
 

@@ -46,8 +46,8 @@ class NearestGrid:
         volume = float(extent.double().prod())
         cell = max(cell, (volume / _MAX_CELLS) ** (1 / 3))
         self.cell = cell
-        self.low = low - (band + 2 * cell)
-        dims = ((high - self.low + band) / cell).ceil().long() + 2
+        self._low = low - (band + 2 * cell)
+        dims = ((high - self._low + band) / cell).ceil().long() + 2
         nx, ny, nz = dims.tolist()
         self._last = (dims - 1).to(points.dtype)
         self._strides = (ny * nz, nz)
@@ -59,7 +59,7 @@ class NearestGrid:
         offsets, length_sq = offsets[near], length_sq[near]
         offsets = offsets[torch.argsort(length_sq, descending=True, stable=True)]
         strides = torch.tensor([ny * nz, nz, 1], device=device)
-        base = ((kept - self.low) / cell).floor().long() @ strides
+        base = ((kept - self._low) / cell).floor().long() @ strides
         table = torch.full((nx * ny * nz,), len(points), dtype=torch.int32, device=device)
         index = torch.nonzero(inside)[:, 0].to(torch.int32)
         for shift in (offsets @ strides).tolist():
@@ -68,21 +68,27 @@ class NearestGrid:
             table[base + shift] = index
         self._table = table
         blank = points.new_full((1, 3), math.sqrt(_FAR))
-        self.points = torch.cat([points, blank])
-        self.normals = torch.cat([normals, torch.zeros_like(blank)])
+        points = torch.cat([points, blank])
+        normals = torch.cat([normals, torch.zeros_like(blank)])
+        self._planes = torch.cat([points, normals], 1).T.contiguous()
 
-    def index(self, queries: Float[Tensor, "*batch 3"]) -> Int[Tensor, "*batch"]:
+    def index(self, queries: Float[Tensor, "3 *batch"]) -> Int[Tensor, "*batch"]:
         """Index of a nearby point for each query, n beyond the band."""
-        cells = (queries - self.low).mul_(1 / self.cell)
-        cells = torch.minimum(cells.clamp_min_(0), self._last).to(torch.int32)
-        x, y, z = cells.unbind(-1)
+        one = (3,) + (1,) * (queries.dim() - 1)
+        cells = (queries - self._low.view(one)).mul_(1 / self.cell)
+        cells = torch.minimum(cells.clamp_min_(0), self._last.view(one)).to(torch.int32)
+        x, y, z = cells
         flat = (x * self._strides[0]).add_(y * self._strides[1]).add_(z)
         return self._table.index_select(0, flat.view(-1)).view(flat.shape)
 
     def nearest(
-        self, queries: Float[Tensor, "*batch 3"]
-    ) -> tuple[Float[Tensor, "*batch 3"], Float[Tensor, "*batch 3"]]:
-        """Difference (query − point) and the point's normal; far away and zero beyond the band."""
-        index = self.index(queries).view(-1)
-        difference = queries - self.points.index_select(0, index).view(queries.shape)
-        return difference, self.normals.index_select(0, index).view(queries.shape)
+        self, queries: Float[Tensor, "3 *batch"]
+    ) -> tuple[Float[Tensor, "3 *batch"], Float[Tensor, "3 *batch"]]:
+        """Difference (query − point) and the point's normal; far away and zero beyond the band.
+
+        Coordinates come first, here and in what is computed from it: whole planes of x, y and z are
+        several times as fast as rows of three.
+        """
+        found = self._planes.index_select(1, self.index(queries).view(-1))
+        found = found.view(6, *queries.shape[1:])
+        return queries - found[:3], found[3:]

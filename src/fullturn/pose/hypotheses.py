@@ -9,6 +9,7 @@ from torch import Tensor
 from fullturn.matching.correspondence import Matches
 from fullturn.pose.grid import NearestGrid
 from fullturn.pose.kabsch import weighted_kabsch
+from fullturn.pose.planes import move_planes, squared_falloff
 
 # Poses scored at once: their transformed points then stay in the processor's cache.
 _POSES_AT_ONCE = 128
@@ -33,7 +34,7 @@ def compatibility(
     """
     at, to = source[matches.source], target[matches.target]
     at_normals, to_normals = source_normals[matches.source], target_normals[matches.target]
-    source_length, target_length = _distances(at), _distances(to)
+    source_length, target_length = torch.cdist(at, at), torch.cdist(to, to)
     apart = torch.minimum(source_length, target_length) > length_tolerance
     agreement = _falloff(source_length - target_length, length_tolerance)
     source_cosine = (at_normals @ at_normals.T).abs_()
@@ -82,12 +83,11 @@ def score_poses(
     Counting area, not points, keeps dense parts of one cloud from being laid on dense parts of the
     other.
     """
-    share = area / area.sum()
+    planes, share = points.T.contiguous(), area / area.sum()
     scores = []
     for part in T_grid_points.split(_POSES_AT_ONCE):
-        moved = points @ part[:, :3, :3].mT + part[:, None, :3, 3]
-        difference, _ = grid.nearest(moved)
-        scores.append(_falloff(difference.square().sum(-1).sqrt_(), truncation) @ share)
+        difference, _ = grid.nearest(move_planes(part, planes))
+        scores.append(squared_falloff(difference.square_().sum(0), truncation) @ share)
     return torch.cat(scores)
 
 
@@ -129,10 +129,6 @@ def distinct(
     return order[torch.tensor(kept, device=order.device)]
 
 
-def _distances(points: Float[Tensor, "k 3"]) -> Float[Tensor, "k k"]:
-    return torch.cdist(points, points, compute_mode="donot_use_mm_for_euclid_dist")
-
-
 def _falloff(value: Float[Tensor, "*s"], tolerance: float) -> Float[Tensor, "*s"]:
     """1 at zero, 0 from `tolerance` on, quadratic between; works in place on `value`."""
-    return value.mul_(1 / tolerance).square_().neg_().add_(1).clamp_min_(0)
+    return squared_falloff(value.square_(), tolerance)

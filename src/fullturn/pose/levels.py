@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from fullturn.geometry.normals import estimate_normals
@@ -16,6 +16,7 @@ from fullturn.geometry.sampling import local_area, point_spacing, voxel_sample
 _DENSE = 8
 _FEW = 64
 _LARGEST_VOXEL = 0.15  # of a cloud's own radius
+_KEYPOINTS = 400
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,6 +26,12 @@ class Level:
     points: Float[Tensor, "n 3"]
     normals: Float[Tensor, "n 3"]  # away from the cloud's mean
     area: Float[Tensor, " n"]  # that each point stands for, 1 on average
+
+    @property
+    def keypoints(self) -> Int[Tensor, " k"]:
+        """Rows of the points that are described and matched: at most 400, evenly over all rows."""
+        count = min(len(self.points), _KEYPOINTS)
+        return torch.arange(count, device=self.points.device) * len(self.points) // count
 
 
 @dataclass(frozen=True, eq=False)

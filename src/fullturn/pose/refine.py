@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from jaxtyping import Float
+import torch
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from fullturn.geometry import rigid
 from fullturn.pose.grid import NearestGrid
-from fullturn.pose.residuals import gauss_newton_step, normal_equations
+from fullturn.pose.planes import move_planes, squared_falloff
+from fullturn.pose.residuals import gauss_newton_step, plane_equations, skew
 
 # Holds back sliding along a surface, where planes leave a pose free.
 _DAMPING = 0.01
+_GRAZING = -0.1  # cosine down to which a surface still counts as facing the eye
 
 
 def refine_poses(
@@ -21,29 +24,63 @@ def refine_poses(
     target_grid: NearestGrid,
     *,
     scales: tuple[float, ...],
+    seen: Bool[Tensor, "k n"] | None = None,
+    eye: Float[Tensor, "k 3"] | None = None,
 ) -> Float[Tensor, "k 4 4"]:
     """Each pose moved towards the nearest local optimum, both clouds pulling.
 
     One Gauss–Newton step per entry of `scales` (lengths, from coarse to fine). A point counts with
     the weight (1 − d²/scale²)² (Tukey) within the scale and is drawn to the tangent plane of its
-    partner. Source points look for partners in the
-    target and target points in the source, so that neither cloud's gaps decide.
+    partner. Source points look for partners in the target and target points in the source, so that
+    neither cloud's gaps decide.
+
+    Where the source is a whole model and the target a scan of it: only source points that a pose
+    shows (`seen`) count, and target points find partners only where the source faces the direction
+    to the `eye`, in the source's frame: the far side of a thin wall must not draw its near side.
     """
     T = T_target_source
+    source, target = source.T.contiguous(), target.T.contiguous()
     for scale in scales:
-        R, t = T[:, :3, :3], T[:, None, :3, 3]
-        moved = source @ R.mT + t
+        moved = move_planes(T, source)
         difference, normal = target_grid.nearest(moved)
-        H, g = normal_equations(moved, difference, normal, tukey(difference, scale))
-        # Backwards, the moving point is the source's: it lies at target − difference.
-        difference, normal = source_grid.nearest((target - t) @ R)
         weight = tukey(difference, scale)
-        difference, normal = difference @ R.mT, normal @ R.mT
-        H_back, g_back = normal_equations(target - difference, -difference, normal, weight)
-        T = rigid.exp_se3(gauss_newton_step(H + H_back, g + g_back, damping=_DAMPING)) @ T
+        if seen is not None:
+            weight = weight * seen
+        H, g = plane_equations(moved, difference, normal, weight)
+        # In the source's frame it is the partner that moves, by what the motion is there.
+        back = move_planes(rigid.invert(T), target)
+        difference, normal = source_grid.nearest(back)
+        weight = tukey(difference, scale)
+        if eye is not None:
+            weight = weight * ((normal * eye.T.unsqueeze(-1)).sum(0) > _GRAZING)
+        H_back, g_back = plane_equations(back - difference, difference.neg_(), normal, weight)
+        there = _adjoint(T)
+        H = H + there.mT @ H_back @ there
+        g = g + (there.mT @ g_back.unsqueeze(-1)).squeeze(-1)
+        T = _small_motion(gauss_newton_step(H, g, damping=_DAMPING)) @ T
     return T
 
 
-def tukey(difference: Float[Tensor, "*batch n 3"], scale: float) -> Float[Tensor, "*batch n"]:
+def tukey(difference: Float[Tensor, "3 *batch"], scale: float) -> Float[Tensor, "*batch"]:
     """(1 − d²/scale²)² within the scale, 0 beyond."""
-    return (1 - difference.square().sum(-1) / scale**2).clamp_min_(0).square_()
+    return squared_falloff(difference.square().sum(0), scale).square_()
+
+
+def _adjoint(T_target_source: Float[Tensor, "k 4 4"]) -> Float[Tensor, "k 6 6"]:
+    """Takes a small motion (ω, v) in the target's frame to the same one in the source's.
+
+    ω × (R p + t) + v = R (Rᵀω × p + Rᵀ(v + ω × t)).
+    """
+    R_inverse = T_target_source[:, :3, :3].mT
+    shift = -R_inverse @ skew(T_target_source[:, :3, 3])
+    right = torch.cat([torch.zeros_like(shift), R_inverse], 1)
+    return torch.cat([torch.cat([R_inverse, shift], 1), right], 2)
+
+
+def _small_motion(step: Float[Tensor, "k 6"]) -> Float[Tensor, "k 4 4"]:
+    """x → R x + v of steps (ω, v), R = (I − [ω/2]×)⁻¹ (I + [ω/2]×) (Cayley): it is cheap."""
+    half = 0.5 * step[:, :3]
+    K = skew(half)
+    scale = 2.0 / (1.0 + half.square().sum(-1))
+    R = torch.eye(3).to(K) + scale[:, None, None] * (K + K @ K)
+    return rigid.make(R, step[:, 3:])

@@ -70,11 +70,13 @@ def find_finalists(
     config: SearchConfig = SearchConfig(),
     similarity: Similarity | None = None,
     max_rotation_rad: float | None = None,
+    given: Float[Tensor, "g 4 4"] | None = None,
 ) -> Finalists:
     """Search the full range of poses; deterministic, no starting guess, no radius to tune.
 
     `similarity` finds the matches in place of the descriptor that the configuration names.
-    `max_rotation_rad` is the largest rotation that is possible, where somebody knows one.
+    `max_rotation_rad` is the largest rotation that is possible, where somebody knows one. Poses
+    `given` from elsewhere are measured as they are, with those found, and come first.
     """
     clock = _Clock()
     coarse, fine = coarse_and_fine(source, target, config)
@@ -95,12 +97,15 @@ def find_finalists(
     if fine is not coarse:
         T = _within(_polish(fine, T), max_rotation_rad, slack_rad=LIMIT_EDGE_RAD)
         clock.lap("refine")
-    features = _measure_level(fine, source, target, T)
-    agreed = agreement(T, coarse, grids, learned)
+    if given is not None:
+        T = torch.cat([given.to(T), T])
+    features = torch.cat(
+        [_measure_level(fine, source, target, T), agreement(T, coarse, learned)], 1
+    )
     clock.lap("verify")
     T = T.double()
     T = rigid.make(nearest_rotation(T[:, :3, :3]), T[:, :3, 3])
-    return Finalists(T, torch.cat([features, agreed], 1), fine.spacing, clock.seconds, notes)
+    return Finalists(T, features, fine.spacing, clock.seconds, notes)
 
 
 def coarse_and_fine(
@@ -114,21 +119,6 @@ def coarse_and_fine(
     return level_pair(*thin_pair(*fine, limit=config.coarse_points), support=fine), fine_level
 
 
-def measure_poses(
-    source: Cloud,
-    target: Cloud,
-    T_target_source: Float[Tensor, "k 4 4"],
-    *,
-    config: SearchConfig = SearchConfig(),
-) -> Float[Tensor, "k f"]:
-    """What verification measures of poses, found in whatever way."""
-    coarse, fine = coarse_and_fine(source, target, config)
-    T = T_target_source.float()
-    grids = _grids(coarse, band=3 * coarse.spacing)
-    agreed = agreement(T, coarse, grids, network_similarity(coarse))
-    return torch.cat([_measure_level(fine, source, target, T), agreed], 1)
-
-
 def _measure_level(pair: LevelPair, source: Cloud, target: Cloud, T: Tensor) -> Tensor:
     surfaces = [
         prepare_surface(level, spacing=pair.spacing, viewpoint=cloud.viewpoint)
@@ -138,18 +128,21 @@ def _measure_level(pair: LevelPair, source: Cloud, target: Cloud, T: Tensor) -> 
 
 
 def _hypothesize(pair: LevelPair, alike: Tensor, config: SearchConfig, clock: _Clock) -> Tensor:
-    h, source, target = pair.spacing, pair.source, pair.target
     matches = candidate_matches(alike, limit=config.match_limit)
+    (source, source_normals), (target, target_normals) = (
+        (level.points[level.keypoints], level.normals[level.keypoints])
+        for level in (pair.source, pair.target)
+    )
     agreement = hypotheses.compatibility(
         matches,
-        source.points,
-        target.points,
-        source.normals,
-        target.normals,
-        length_tolerance=config.length_tolerance * h,
+        source,
+        target,
+        source_normals,
+        target_normals,
+        length_tolerance=config.length_tolerance * pair.spacing,
     )
     clock.lap("match")
-    T = hypotheses.seeded_poses(matches, source.points, target.points, agreement)
+    T = hypotheses.seeded_poses(matches, source, target, agreement)
     clock.lap("hypothesize")
     return T
 

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from fullturn.geometry import rigid
 from fullturn.geometry.cloud import Cloud
-from fullturn.pose.search import find_finalists, measure_poses
+from fullturn.pose.search import find_finalists
 from fullturn.pose.verdict import same_pose
 from fullturn.pose.verify import FEATURES
 
@@ -73,11 +73,10 @@ def cloud_symmetries(cloud: Cloud) -> Float[Tensor, "k 4 4"]:
     """
     order = torch.argsort(cloud.points @ cloud.points.new_tensor(_SPLIT_DIRECTION), stable=True)
     one, other = (Cloud(cloud.points[order[part::2]]) for part in (0, 1))
-    found = find_finalists(one, other)
     still = torch.eye(4, dtype=torch.float64, device=order.device)
-    column = FEATURES.index("distance_two")
-    fit = found.features[:, column]
-    good = fit < measure_poses(one, other, still[None])[0, column] + _FIT_MARGIN
+    found = find_finalists(one, other, given=still[None])
+    fit = found.features[:, FEATURES.index("distance_two")]
+    good = fit < fit[0] + _FIT_MARGIN
     ranked = found.T_target_source[good][torch.argsort(fit[good], stable=True)]
     kept = [still]
     for T in ranked:

@@ -48,12 +48,14 @@ class Judged:
 def verdict_inputs(
     features: Float[Tensor, "*batch k f"], present: Bool[Tensor, "*batch k"] | None = None
 ) -> Float[Tensor, "*batch k g"]:
-    """Each finalist's features, and how far each lies above the lowest value of its rivals."""
-    if present is None:
-        lowest = features.amin(-2, keepdim=True)
-    else:
-        lowest = features.masked_fill(~present.unsqueeze(-1), math.inf).amin(-2, keepdim=True)
-    return torch.cat([features, features - lowest], -1)
+    """Each finalist's features, and how far each lies from the rivals' lowest and highest value."""
+    lowest = highest = features
+    if present is not None:
+        absent = ~present.unsqueeze(-1)
+        lowest = features.masked_fill(absent, math.inf)
+        highest = features.masked_fill(absent, -math.inf)
+    from_lowest = features - lowest.amin(-2, keepdim=True)
+    return torch.cat([features, from_lowest, features - highest.amax(-2, keepdim=True)], -1)
 
 
 def log_probabilities(

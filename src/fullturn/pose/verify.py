@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from fullturn.geometry import rigid
 from fullturn.geometry.neighbors import NeighborIndex, gather
-from fullturn.pose.grid import NearestGrid
 from fullturn.pose.levels import Level, LevelPair
 from fullturn.pose.visibility import DepthImage
 
@@ -35,6 +34,9 @@ _LINEAR = (
     "conflict_low",  # share that hangs 1.5 h to 0.05 over the inside of the other surface
     "conflict_middle",  # ... 0.05 to 0.1
     "conflict_high",  # ... 0.1 to 0.25
+    # Two views of a shape that is alike in front and behind fit best as if from one side: with
+    # their rims on each other.
+    "rims",  # of near points on a rim: share whose partner lies on one, too
 )
 _SIDED = ("distance_half", "distance_two", "plane", "smooth_half", "overlap", "conflict_middle")
 _SEEN = (
@@ -43,15 +45,20 @@ _SEEN = (
     "sight_outside",  # share beside all that it saw, where it may not have looked
     "sight_known",  # share of the two sensors whose place is known
 )
-_PAIR = ("log_points",)  # of the smaller cloud, natural logarithm
-# Of coarse points that are near, by the descriptor network; NaN where there is none.
+_SIDES = ("same_side",)  # cosine between the mean normals of the two clouds
+_PAIR = (
+    "one_sided",  # length of the mean normals: 1 of a flat side, 0 of what is seen all around
+    "log_points",  # of the smaller cloud, natural logarithm
+)
+# Of keypoints that are near, by the descriptor network; NaN where there is none.
 AGREEMENT = (
     "alike",  # mean similarity of a point and its partner
     "unlike",  # mean of how much more alike the most similar point of the other cloud is
 )
 _CONFLICT_REACH = 0.25  # normalized
+_TOGETHER = 2.0  # spacings: keypoints lie farther apart than points
 _RAW = _LOGARITHMIC + _LINEAR
-MEASURED = _RAW + tuple(f"{name}_sides" for name in _SIDED) + _SEEN + _PAIR
+MEASURED = _RAW + tuple(f"{name}_sides" for name in _SIDED) + _SEEN + _SIDES + _PAIR
 FEATURES = MEASURED + AGREEMENT
 
 
@@ -98,11 +105,9 @@ def measure(
     there = source.points @ R.mT + t
     back = (target.points - t) @ R
     forward = _one_side(
-        there, source.smooth @ R.mT + t, source.normals @ R.mT, source.area, target, spacing
+        there, source.smooth @ R.mT + t, source.normals @ R.mT, source, target, spacing
     )
-    backward = _one_side(
-        back, (target.smooth - t) @ R, target.normals @ R, target.area, source, spacing
-    )
+    backward = _one_side(back, (target.smooth - t) @ R, target.normals @ R, target, source, spacing)
     sided = [_RAW.index(name) for name in _SIDED]
     seen = torch.zeros_like(forward[:, : len(_SEEN)])
     for image, points in ((target.image, there), (source.image, back)):
@@ -110,36 +115,37 @@ def measure(
             seen[:, :-1] += image.violations(points) / 2
             seen[:, -1] += 0.5
     differences = (forward - backward)[:, sided].abs()
+    of_source, of_target = (
+        (side.area @ side.normals) / side.area.sum() for side in (source, target)
+    )
+    same_side = torch.cosine_similarity(R @ of_source, of_target[None])
+    one_sided = float(of_source.norm() + of_target.norm()) / 2
     fewest = min(len(source.points), len(target.points))
-    size = torch.full_like(seen[:, :1], math.log(fewest))
-    return torch.cat([(forward + backward) / 2, differences, seen, size], 1)
+    pair = seen.new_tensor([one_sided, math.log(fewest)]).expand(len(seen), -1)
+    return torch.cat([(forward + backward) / 2, differences, seen, same_side[:, None], pair], 1)
 
 
 def agreement(
-    T_target_source: Float[Tensor, "k 4 4"],
-    pair: LevelPair,
-    grids: Sequence[NearestGrid],
-    alike: Float[Tensor, "n m"] | None,
+    T_target_source: Float[Tensor, "k 4 4"], pair: LevelPair, alike: Float[Tensor, "n m"] | None
 ) -> Float[Tensor, "k 2"]:
-    """Whether points that a pose brings together are alike: the last columns of `FEATURES`.
+    """Whether keypoints that a pose brings together are alike: the last columns of `FEATURES`.
 
-    `grids` are those of source and target, `alike` how similar any two of their points are.
+    `alike` says how similar any two keypoints are.
     """
     k = len(T_target_source)
     if alike is None:
         return T_target_source.new_full((k, len(AGREEMENT)), math.nan)
-    R, t = T_target_source[:, :3, :3], T_target_source[:, None, :3, 3]
+    source, target = pair.source, pair.target
+    moved = rigid.apply(T_target_source, source.points[source.keypoints])
+    there = target.points[target.keypoints]
+    # |a − b|² − |a|²: exact enough for neighbors, and much faster than the distances.
+    distance_sq = torch.baddbmm(there.square().sum(-1), moved, there.T.expand(k, -1, -1), alpha=-2)
+    distance_sq += moved.square().sum(-1, keepdim=True)
     sums = T_target_source.new_zeros(k, 3)
-    for moved, area, grid, similarity in (
-        (pair.source.points @ R.mT + t, pair.source.area, grids[1], alike),
-        ((pair.target.points - t) @ R, pair.target.area, grids[0], alike.T),
-    ):
-        partner = grid.index(moved).long()
-        near = partner < len(grid.points) - 1
-        difference = moved - grid.points[partner]
-        near &= difference.square().sum(-1) < (1.5 * pair.spacing) ** 2
-        weight = area * near
-        found = similarity.gather(1, partner.clamp_max(similarity.shape[1] - 1).T).T
+    for level, dim, similarity in ((source, 2, alike), (target, 1, alike.T)):
+        nearest, partner = distance_sq.min(dim)
+        weight = level.area[level.keypoints] * (nearest < (_TOGETHER * pair.spacing) ** 2)
+        found = similarity.gather(1, partner.T).T
         most = similarity.amax(1)
         sums += torch.stack(
             [(weight * found).sum(-1), (weight * (most - found)).sum(-1), weight.sum(-1)], -1
@@ -151,24 +157,22 @@ def _one_side(
     points: Float[Tensor, "k n 3"],
     smooth: Float[Tensor, "k n 3"],
     normals: Float[Tensor, "k n 3"],
-    area: Float[Tensor, " n"],
+    own: Surface,
     other: Surface,
     h: float,
 ) -> Float[Tensor, "k f"]:
     """The raw features of points moved onto the other surface, in the order of `_RAW`."""
-    reach = max(_CONFLICT_REACH, 2.0 * h)
-    partner, distance = other.index.nearest(points.reshape(-1, 3), within=reach)
+    partner, distance = other.index.nearest(points.reshape(-1, 3))
     partner, distance = partner.view(points.shape[:2]), distance.view(points.shape[:2])
     partner_normals = other.normals[partner]
-    # Without a partner in reach: the first point stands in, and the infinite distance keeps it out.
-    partner = partner.clamp_min(0)
     height = ((points - other.points[partner]) * partner_normals).sum(-1).abs()
     smooth_height = ((smooth - other.smooth[partner]) * partner_normals).sum(-1).abs() / h
     cosine = (normals * partner_normals).sum(-1).abs()
     d = distance / h
-    weight = area / area.sum()
+    weight = own.area / own.area.sum()
     near = (d < 1.5).to(d.dtype)
-    near_total = (near @ weight).clamp_min(1.0 / len(area))
+    least = 1.0 / len(weight)
+    near_total = (near @ weight).clamp_min(least)
 
     def near_mean(value: Tensor) -> Tensor:
         return (value * near) @ weight / near_total
@@ -181,7 +185,9 @@ def _one_side(
     logarithmic += [near_mean(smooth_height.clamp_max(cap).square()) for cap in (0.15, 0.5, 1.0)]
     # Over the inside, not beyond the rim, and above it rather than beside it: a surface should
     # have been seen there.
-    hangs = other.interior[partner] & (height > 0.5 * distance) & (d > 1.5)
+    over_inside = other.interior[partner]
+    hangs = over_inside & (height > 0.5 * distance) & (d > 1.5)
+    near_rim = (d < 1.5) & ~own.interior
     linear = [
         near_mean(1 - cosine),
         share(d < 1.5),
@@ -190,5 +196,6 @@ def _one_side(
         share(hangs & (distance <= 0.05)),
         share(hangs & (distance > 0.05) & (distance <= 0.1)),
         share(hangs & (distance > 0.1) & (distance <= _CONFLICT_REACH)),
+        share(near_rim & ~over_inside) / share(near_rim).clamp_min(least),
     ]
     return torch.cat([(torch.stack(logarithmic, -1) + 1e-6).log(), torch.stack(linear, -1)], -1)

@@ -11,9 +11,10 @@ from typing import Any, Literal
 import numpy as np
 
 from fullturn.data.categories import SEEN_CLASSES
+from fullturn.data.draw import make_pair, view_rules
 from fullturn.data.open import find, open_shapes
 from fullturn.data.pair import Pair
-from fullturn.data.protocols import PROTOCOLS, Protocol, make_pair, view_rules
+from fullturn.data.protocols import PROTOCOLS, Protocol
 from fullturn.data.shapes import MeshPack, MeshSource, ShapeSource
 from fullturn.data.view_pool import ViewPool
 from fullturn.errors import InputError

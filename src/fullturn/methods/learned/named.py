@@ -66,13 +66,14 @@ class GmcnetConsensus(_Learned, Consensus):
 
     summary = "GMCNet's descriptors as matches for the search of the default method"
 
-    def similarity(self, pair: LevelPair) -> Float[Tensor, "n m"]:
+    def similarity(self, pair: LevelPair) -> Float[Tensor, "k l"]:
         source, target = (
             CloudBatch.collate([level.points.float()]) for level in (pair.source, pair.target)
         )
         with torch.no_grad():
             terms = [self.network.encode(cloud) for cloud in (source, target)]
-            return self.network.score(source, target, *terms)[0]
+            score = self.network.score(source, target, *terms)[0]
+        return score[pair.source.keypoints][:, pair.target.keypoints]
 
 
 @cache
