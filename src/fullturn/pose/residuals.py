@@ -23,9 +23,8 @@ def normal_equations(
     W = (1 − p) n nᵀ + p I with p = `point_share`: 0 is point-to-plane, 1 is point-to-point, between
     them sliding along the surface costs p times what leaving it costs.
     """
-    H, g = plane_equations(
-        *(x.movedim(-1, 0).contiguous() for x in (at, difference, normal)), weight
-    )
+    x, d, n = (rows.movedim(-1, 0).contiguous() for rows in (at, difference, normal))
+    H, g = plane_equations(x, d, n, weight)
     if point_share == 0:
         return H, g
     H_point, g_point = _point_part(at, difference, weight)
