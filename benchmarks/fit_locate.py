@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import json
 import os
 from pathlib import Path
 
@@ -22,7 +21,6 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 import torch
-from safetensors.torch import save_file
 from torch import Tensor
 
 from free_shapes import DATA, free_shapes
@@ -38,6 +36,7 @@ from fullturn.locating.verify import FEATURES
 from fullturn.pose.grid import NearestGrid
 from fullturn.pose.verdict import VerdictWeights, log_probabilities, same_pose, verdict_inputs
 from locate_scenes import Scene, scene_of
+from logit import fit_logit, held_out_rows, write_logit
 
 CARD = """# locate.safetensors
 
@@ -54,7 +53,6 @@ however a symmetric model is turned. "Pose": within 5° and 5 % of the radius.
 {scores}
 """
 KINDS = ("alone", "plane", "others", "unrelated")
-MISSING = 0.1  # share of the features, in each step of the fit
 
 
 def rows_of(
@@ -169,32 +167,10 @@ def load_table(folder: Path) -> Collected:
 
 def fit(args: argparse.Namespace) -> None:
     table = load_table(args.out)
-    rng = np.random.default_rng(args.seed)
-    shapes = np.unique(table.shape)
-    held_out = torch.from_numpy(
-        np.isin(table.shape, rng.choice(shapes, len(shapes) // 5, replace=False))
-    )
+    held_out = held_out_rows(table.shape, np.random.default_rng(args.seed))
     inputs = verdict_inputs(table.features, table.present)
-    of_train = inputs[~held_out][table.present[~held_out]]
-    mean, deviation = of_train.mean(0), of_train.std(0) + 1e-6
-    generator = torch.Generator().manual_seed(args.seed)
-    width = inputs.shape[-1]
-    hidden = torch.randn(width, args.hidden, generator=generator, dtype=torch.float64)
-    parameters = [
-        (hidden / width**0.5).requires_grad_(),
-        torch.zeros(args.hidden, dtype=torch.float64, requires_grad=True),
-        torch.zeros(args.hidden, dtype=torch.float64, requires_grad=True),
-        torch.zeros((), dtype=torch.float64, requires_grad=True),
-    ]
 
-    def loss(rows: Tensor) -> Tensor:
-        told = inputs[rows]
-        if rows is not test:
-            # A feature is missing now and then, so that none is relied on alone.
-            missing = torch.rand(len(rows), 1, width, generator=generator) < MISSING
-            told = told.masked_fill(missing, torch.nan)
-        weights = VerdictWeights(mean, deviation, *parameters)
-        log_p = log_probabilities(told, weights, table.present[rows])
+    def loss(log_p: Tensor, rows: Tensor) -> Tensor:
         surface, pose = table.right["surface"][rows], table.right["pose"][rows]
         none = ~surface.any(1, keepdim=True)
         either = torch.logsumexp(log_p.masked_fill(~torch.cat([surface, none], 1), -1e9), 1)
@@ -202,29 +178,20 @@ def fit(args: argparse.Namespace) -> None:
         one = torch.logsumexp(log_p[:, :-1].masked_fill(~pose, -1e9), 1)
         return -(either + torch.where(pose.any(1), one - either, 0.0)).mean()
 
-    train, test = torch.nonzero(~held_out)[:, 0], torch.nonzero(held_out)[:, 0]
-    optimizer = torch.optim.AdamW(parameters, lr=5e-3, weight_decay=args.weight_decay)
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, args.steps)
-    for step in range(args.steps):
-        rows = train[torch.randperm(len(train), generator=generator)[:512]]
-        optimizer.zero_grad()
-        value = loss(rows)
-        value.backward()
-        optimizer.step()
-        schedule.step()
-        if step % 100 == 0:
-            with torch.no_grad():
-                print(f"step {step}: train {value.item():.3f}, held out {loss(test).item():.3f}")
-    final = VerdictWeights(mean, deviation, *(p.detach() for p in parameters))
-    scores = report(table, test, inputs, final)
-    print(scores)
-    tensors = {key: value.contiguous() for key, value in dataclasses.asdict(final).items()}
-    save_file(tensors, args.weights, metadata={"features": json.dumps(FEATURES)})
-    args.weights.chmod(0o644)
-    args.weights.with_suffix(".md").write_text(
-        CARD.format(count=len(table.kind), data=DATA, scores=scores)
+    weights = fit_logit(
+        inputs,
+        table.present,
+        held_out,
+        loss,
+        hidden=args.hidden,
+        steps=args.steps,
+        weight_decay=args.weight_decay,
+        seed=args.seed,
     )
-    print("wrote", args.weights)
+    scores = report(table, torch.nonzero(held_out)[:, 0], inputs, weights)
+    print(scores)
+    card = CARD.format(count=len(table.kind), data=DATA, scores=scores)
+    write_logit(weights, args.weights, features=FEATURES, card=card)
 
 
 def report(table: Collected, rows: Tensor, inputs: Tensor, weights: VerdictWeights) -> str:

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import json
 import os
 from pathlib import Path
 
@@ -23,7 +22,6 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 import torch
-from safetensors.torch import save_file
 from torch import Tensor
 
 from free_shapes import DATA, free_shapes
@@ -43,6 +41,7 @@ from fullturn.pose.verdict import (
     verdict_inputs,
 )
 from fullturn.pose.verify import AGREEMENT, FEATURES
+from logit import fit_logit, held_out_rows, write_logit
 
 CARD = """# verdict.safetensors
 
@@ -58,7 +57,6 @@ Scores on the fifth of the shapes that was held out:
 """
 
 
-MISSING = 0.1  # share of the features, in each step of the fit
 WITHOUT_NETWORK = 0.15  # share of the pairs of the fit
 # Shapes unlike those of the fit are judged too surely: scores are made smaller by this, which cost
 # nothing measurable on `val` meshes of the research pack, and kept every kind's ECE below 0.05.
@@ -161,68 +159,36 @@ def load_table(folder: Path) -> Collected:
 def fit(args: argparse.Namespace) -> None:
     table = load_table(args.out)
     rng = np.random.default_rng(args.seed)
-    shapes = np.unique(table.shape)
-    held_out = torch.from_numpy(
-        np.isin(table.shape, rng.choice(shapes, len(shapes) // 5, replace=False))
-    )
+    held_out = held_out_rows(table.shape, rng)
     inputs = verdict_inputs(table.features, table.present)
-    of_train = inputs[~held_out][table.present[~held_out]]
-    mean, deviation = of_train.mean(0), of_train.std(0) + 1e-6
     # Without the descriptor network, its features can't be measured; the verdict knows that, too.
     without = torch.from_numpy(rng.random(len(inputs)) < WITHOUT_NETWORK) & ~held_out
     width = len(FEATURES)
     columns = [FEATURES.index(name) + part * width for name in AGREEMENT for part in range(3)]
     for column in columns:
         inputs[..., column].masked_fill_(without[:, None], torch.nan)
-    generator = torch.Generator().manual_seed(args.seed)
-    width = inputs.shape[-1]
-    hidden = torch.randn(width, args.hidden, generator=generator, dtype=torch.float64)
-    parameters = [
-        (hidden / width**0.5).requires_grad_(),
-        torch.zeros(args.hidden, dtype=torch.float64, requires_grad=True),
-        torch.zeros(args.hidden, dtype=torch.float64, requires_grad=True),
-        torch.zeros((), dtype=torch.float64, requires_grad=True),
-    ]
+    right = torch.cat([table.right, ~table.right.any(1, keepdim=True)], 1)
 
-    def weights() -> VerdictWeights:
-        return VerdictWeights(mean, deviation, *parameters)
+    def loss(log_p: Tensor, rows: Tensor) -> Tensor:
+        return -torch.logsumexp(log_p.masked_fill(~right[rows], -1e9), 1).mean()
 
-    def loss(rows: Tensor) -> Tensor:
-        told = inputs[rows]
-        if rows is not test:
-            # A feature is missing now and then, so that none is relied on alone.
-            missing = torch.rand(len(rows), 1, width, generator=generator) < MISSING
-            told = told.masked_fill(missing, torch.nan)
-        log_p = log_probabilities(told, weights(), table.present[rows])
-        none_right = ~table.right[rows].any(1, keepdim=True)
-        right = torch.cat([table.right[rows], none_right], 1)
-        return -torch.logsumexp(log_p.masked_fill(~right, -1e9), 1).mean()
-
-    train = torch.nonzero(~held_out)[:, 0]
-    test = torch.nonzero(held_out)[:, 0]
-    optimizer = torch.optim.AdamW(parameters, lr=5e-3, weight_decay=args.weight_decay)
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, args.steps)
-    for step in range(args.steps):
-        rows = train[torch.randperm(len(train), generator=generator)[:512]]
-        optimizer.zero_grad()
-        value = loss(rows)
-        value.backward()
-        optimizer.step()
-        schedule.step()
-        if step % 200 == 0:
-            with torch.no_grad():
-                print(f"step {step}: train {value.item():.3f}, held out {loss(test).item():.3f}")
-    hidden, bias, output, none = (p.detach() for p in parameters)
-    final = VerdictWeights(mean, deviation, hidden, bias, SOFTENED * output, SOFTENED * none)
-    scores = report(table, test, inputs, final)
-    print(scores)
-    tensors = {key: value.contiguous() for key, value in dataclasses.asdict(final).items()}
-    save_file(tensors, args.weights, metadata={"features": json.dumps(FEATURES)})
-    args.weights.chmod(0o644)
-    args.weights.with_suffix(".md").write_text(
-        CARD.format(count=len(table.kind), data=DATA, scores=scores)
+    weights = fit_logit(
+        inputs,
+        table.present,
+        held_out,
+        loss,
+        hidden=args.hidden,
+        steps=args.steps,
+        weight_decay=args.weight_decay,
+        seed=args.seed,
     )
-    print("wrote", args.weights)
+    weights = dataclasses.replace(
+        weights, output=SOFTENED * weights.output, none=SOFTENED * weights.none
+    )
+    scores = report(table, torch.nonzero(held_out)[:, 0], inputs, weights)
+    print(scores)
+    card = CARD.format(count=len(table.kind), data=DATA, scores=scores)
+    write_logit(weights, args.weights, features=FEATURES, card=card)
 
 
 def report(table: Collected, rows: Tensor, inputs: Tensor, weights: VerdictWeights) -> str:

@@ -166,10 +166,7 @@ def test_the_shipped_weights_fit_the_features() -> None:
     assert float(shipped.deviation.min()) > 0.0
 
 
-def test_weights_for_other_features_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    load_weights.cache_clear()
-    monkeypatch.setattr(verdict, "FEATURES", ("distance", "gravity"))
-    with pytest.raises(FullturnError, match=r"expected weights fit to the 2 features .*fit_"):
-        load_weights()
-    monkeypatch.undo()
-    load_weights.cache_clear()
+@pytest.mark.parametrize("name", ["verdict", "locate"])
+def test_weights_for_other_features_are_refused(name: str) -> None:
+    with pytest.raises(FullturnError, match=rf"expected weights fit to the 2 .*fit_{name}.py"):
+        load_weights(name, ("distance", "gravity"))

@@ -25,6 +25,10 @@ def fuse(
     report: Annotated[
         Path | None, typer.Option(help="Write a report: one self-contained .html file.")
     ] = None,
+    viewpoints: Annotated[
+        Path | None,
+        typer.Option(help="Where the sensors stood: a text file, per scan a line x y z, or -."),
+    ] = None,
     method: Annotated[str, typer.Option(help="See `fullturn methods`.")] = "auto",
     min_probability: Annotated[
         float, typer.Option(min=0.01, max=1.0, help="Join what is at least so probable.")
@@ -54,6 +58,8 @@ def fuse(
         if path is not None:
             check_output(path, suffixes)
 
+    eyes = None if viewpoints is None else _read_viewpoints(viewpoints)
+
     from json import dumps
 
     from fullturn.fusion.fuse import fuse as run
@@ -63,6 +69,7 @@ def fuse(
     with one_thread_each():
         fusion = run(
             scans,
+            viewpoints=eyes,
             method=method,
             seed=seed,
             min_probability=min_probability,
@@ -87,6 +94,32 @@ def fuse(
         print(dumps({**content, "written": [str(path) for path in written]}))
     else:
         _print_table(fusion, written)
+
+
+def _read_viewpoints(path: Path) -> list[tuple[float, ...] | None]:
+    """One place per line that isn't empty, None for a line that is a hyphen."""
+    from fullturn.errors import ReadError
+
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise ReadError(f"cannot read the viewpoints {path}: {error}; check the file") from error
+    places: list[tuple[float, ...] | None] = []
+    for number, line in enumerate(lines, start=1):
+        words = line.replace(",", " ").split()
+        if not words:
+            continue
+        try:
+            place = None if words == ["-"] else tuple(map(float, words))
+        except ValueError:
+            place = ()
+        if place is not None and (len(place) != 3 or not all(map(math.isfinite, place))):
+            raise ReadError(
+                f"{path}, line {number}: expected three numbers as in 0.1 -2 3, or -, got "
+                f"{line[:80]!r}; change the line"
+            )
+        places.append(place)
+    return places
 
 
 def _content(fusion: Fusion, paths: list[str]) -> dict[str, Any]:
@@ -114,6 +147,8 @@ def _content(fusion: Fusion, paths: list[str]) -> dict[str, Any]:
             {
                 "target": paths[edge.target],
                 "source": paths[edge.source],
+                "target_scans": [paths[scan] for scan in edge.target_scans],
+                "source_scans": [paths[scan] for scan in edge.source_scans],
                 "probability": list(edge.probability),
                 "chosen": None if edge.chosen < 0 else edge.chosen,
                 "overlap": list(edge.overlap),

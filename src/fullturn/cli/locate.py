@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from fullturn.cli.errors import BELOW_MINIMUM, tell
+from fullturn.cli.viewpoint import parse_viewpoint
 
 if TYPE_CHECKING:
     from fullturn.locating.model import PreparedModel
@@ -60,7 +61,7 @@ def locate(
 
     Exit codes: 0 located, 1 error, 2 wrong usage, 3 below --min-probability.
     """
-    eye = _viewpoint(viewpoint)
+    eye = parse_viewpoint(viewpoint, "--viewpoint")
     if math.isnan(min_probability or 0.0):
         raise typer.BadParameter("--min-probability: expected a number from 0 to 1, got nan")
 
@@ -188,17 +189,3 @@ def _print_table(result: Located, model: str, scene: str) -> None:
         row("note", note)
     row("seconds", f"{result.seconds['total']:.2f}")
     Console().print(table)
-
-
-def _viewpoint(text: str | None) -> tuple[float, ...] | None:
-    if text is None:
-        return None
-    try:
-        place = tuple(float(x) for x in text.split(","))
-    except ValueError:
-        place = ()
-    if len(place) != 3 or not all(math.isfinite(x) for x in place):
-        raise typer.BadParameter(
-            f"--viewpoint: expected three numbers as in 0.1,-2,3; got {text!r}"
-        )
-    return place

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from fullturn.cli.errors import BELOW_MINIMUM, tell
+from fullturn.cli.viewpoint import parse_viewpoint
 
 
 def register(
@@ -58,8 +59,8 @@ def register(
 
     Exit codes: 0 registered, 1 error, 2 wrong usage, 3 below --min-probability.
     """
-    source_eye = _viewpoint(source_viewpoint, "--source-viewpoint")
-    target_eye = _viewpoint(target_viewpoint, "--target-viewpoint")
+    source_eye = parse_viewpoint(source_viewpoint, "--source-viewpoint")
+    target_eye = parse_viewpoint(target_viewpoint, "--target-viewpoint")
     if math.isnan(min_probability or 0.0):
         raise typer.BadParameter("--min-probability: expected a number from 0 to 1, got nan")
     if max_rotation is not None and not 0.0 < max_rotation <= 180.0:
@@ -123,15 +124,3 @@ def register(
             f"--min-probability {min_probability:g}"
         )
         raise typer.Exit(BELOW_MINIMUM)
-
-
-def _viewpoint(text: str | None, option: str) -> tuple[float, ...] | None:
-    if text is None:
-        return None
-    try:
-        place = tuple(float(x) for x in text.split(","))
-    except ValueError:
-        place = ()
-    if len(place) != 3 or not all(math.isfinite(x) for x in place):
-        raise typer.BadParameter(f"{option}: expected three numbers as in 0.1,-2,3; got {text!r}")
-    return place

@@ -2,27 +2,22 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
-from functools import cache
-from importlib import resources
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from fullturn.errors import FullturnError
 from fullturn.geometry import rigid
 from fullturn.locating.model import PreparedModel
 from fullturn.locating.verify import FEATURES
 from fullturn.pose.grid import NearestGrid
 from fullturn.pose.planes import move_planes
-from fullturn.pose.verdict import VerdictWeights, log_probabilities, same_pose, verdict_inputs
+from fullturn.pose.verdict import load_weights, log_probabilities, same_pose, verdict_inputs
 
 SAME_SURFACE = 0.05  # of the diameter: the farthest that a point of one placement is off the other
 _COMPARED = 600  # points of the surface
 _APART = 0.2  # share of common points below which two poses are of two instances, not rivals
-_WEIGHTS = ("mean", "deviation", "hidden", "hidden_bias", "output", "none")
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +63,7 @@ def judge(
     taken greedily: once a pose is listed, those that it speaks for are not listed again.
     """
     inputs = verdict_inputs(features.double())
-    log_p = log_probabilities(inputs, load_weights())
+    log_p = log_probabilities(inputs, load_weights("locate", FEATURES))
     best = int(log_p[:-1].argmax())
     fewest = torch.minimum(explained.sum(1), explained[best].sum()).clamp_min(1)
     rival = (explained & explained[best]).sum(1) >= _APART * fewest
@@ -91,19 +86,3 @@ def judge(
         free[at] = False
     numbers, own_p, surface_p = zip(*listed, strict=True)
     return Judged(list(numbers), list(own_p), list(surface_p))
-
-
-@cache
-def load_weights() -> VerdictWeights:
-    """The weights in the package, checked against the features that this code measures."""
-    from safetensors import safe_open
-
-    path = resources.files("fullturn") / "weights" / "locate.safetensors"
-    with resources.as_file(path) as file, safe_open(file, framework="pt") as stored:
-        names = json.loads(stored.metadata()["features"])
-        if names != list(FEATURES):
-            raise FullturnError(
-                f"locate.safetensors: expected weights fit to the {len(FEATURES)} features that "
-                f"are measured of a pose, got {len(names)} others; run benchmarks/fit_locate.py"
-            )
-        return VerdictWeights(**{key: stored.get_tensor(key) for key in _WEIGHTS})

@@ -108,16 +108,20 @@ def judge(T_target_source: Float[Tensor, "k 4 4"], features: Float[Tensor, "k f"
 
 
 @cache
-def load_weights() -> VerdictWeights:
-    """The weights in the package, checked against the features that this code measures."""
+def load_weights(name: str = "verdict", features: tuple[str, ...] = FEATURES) -> VerdictWeights:
+    """Weights in the package, checked against the features that this code measures.
+
+    Raises:
+        FullturnError: weights that were fit to other features.
+    """
     from safetensors import safe_open
 
-    path = resources.files("fullturn") / "weights" / "verdict.safetensors"
+    path = resources.files("fullturn") / "weights" / f"{name}.safetensors"
     with resources.as_file(path) as file, safe_open(file, framework="pt") as stored:
         names = json.loads(stored.metadata()["features"])
-        if names != list(FEATURES):
+        if names != list(features):
             raise FullturnError(
-                f"verdict.safetensors: expected weights fit to the {len(FEATURES)} features that "
-                f"verification measures, got {len(names)} others; run benchmarks/fit_verdict.py"
+                f"{name}.safetensors: expected weights fit to the {len(features)} features that "
+                f"are measured of a pose, got {len(names)} others; run benchmarks/fit_{name}.py"
             )
         return VerdictWeights(**{key: stored.get_tensor(key) for key in _WEIGHTS})

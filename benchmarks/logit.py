@@ -1,0 +1,85 @@
+"""Fit a conditional logit over poses: what `fit_verdict.py` and `fit_locate.py` share."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+from safetensors.torch import save_file
+from torch import Tensor
+
+from fullturn.pose.verdict import VerdictWeights, log_probabilities
+
+BATCH = 512
+RATE = 5e-3
+MISSING = 0.1  # share of the inputs, in each step of the fit: none is to be relied on alone
+
+
+def held_out_rows(shape: np.ndarray, rng: np.random.Generator) -> Tensor:
+    """Which rows show one of the fifth of the shapes that the fit must not see."""
+    shapes = np.unique(shape)
+    return torch.from_numpy(np.isin(shape, rng.choice(shapes, len(shapes) // 5, replace=False)))
+
+
+def fit_logit(
+    inputs: Tensor,
+    present: Tensor,
+    held_out: Tensor,
+    loss: Callable[[Tensor, Tensor], Tensor],
+    *,
+    hidden: int,
+    steps: int,
+    weight_decay: float,
+    seed: int,
+) -> VerdictWeights:
+    """The weights after AdamW on the rows that are not held out.
+
+    `inputs` (n, k, g), NaN where something could not be measured; `present` (n, k). The `loss` is
+    the mean over rows, of their log probabilities (m, k + 1) and their numbers (m,).
+    """
+    known = inputs[~held_out][present[~held_out]]
+    mean = known.nanmean(0)
+    deviation = (known - mean).square().nanmean(0).sqrt() + 1e-6
+    generator = torch.Generator().manual_seed(seed)
+    width = inputs.shape[-1]
+    drawn = torch.randn(width, hidden, generator=generator, dtype=torch.float64)
+    parameters = [
+        (drawn / width**0.5).requires_grad_(),
+        torch.zeros(hidden, dtype=torch.float64, requires_grad=True),
+        torch.zeros(hidden, dtype=torch.float64, requires_grad=True),
+        torch.zeros((), dtype=torch.float64, requires_grad=True),
+    ]
+
+    def loss_of(rows: Tensor, told: Tensor) -> Tensor:
+        weights = VerdictWeights(mean, deviation, *parameters)
+        return loss(log_probabilities(told, weights, present[rows]), rows)
+
+    train, test = torch.nonzero(~held_out)[:, 0], torch.nonzero(held_out)[:, 0]
+    optimizer = torch.optim.AdamW(parameters, lr=RATE, weight_decay=weight_decay)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps)
+    for step in range(steps):
+        rows = train[torch.randperm(len(train), generator=generator)[:BATCH]]
+        missing = torch.rand(len(rows), 1, width, generator=generator) < MISSING
+        optimizer.zero_grad()
+        value = loss_of(rows, inputs[rows].masked_fill(missing, torch.nan))
+        value.backward()
+        optimizer.step()
+        schedule.step()
+        if step % 200 == 0:
+            with torch.no_grad():
+                other = loss_of(test, inputs[test])
+            print(f"step {step}: train {value.item():.3f}, held out {other.item():.3f}", flush=True)
+    return VerdictWeights(mean, deviation, *(p.detach() for p in parameters))
+
+
+def write_logit(weights: VerdictWeights, path: Path, *, features: Sequence[str], card: str) -> None:
+    """The weights and, beside them, their card."""
+    tensors = {key: value.contiguous() for key, value in dataclasses.asdict(weights).items()}
+    save_file(tensors, path, metadata={"features": json.dumps(features)})
+    path.chmod(0o644)
+    path.with_suffix(".md").write_text(card)
+    print("wrote", path)
