@@ -48,6 +48,7 @@ results: $(VENV)/.installed
 		$(BIN)/fullturn table results/$$run --out results/$$run || exit 1; done
 	$(BIN)/python benchmarks/speed.py
 	$(BIN)/python benchmarks/covariance.py --data $(DATA)
+	$(BIN)/python benchmarks/locate.py --data $(DATA) --out results/locate.jsonl --page docs/locate.md
 	$(BIN)/python benchmarks/limits.py $(RUNS:%=results/%) --data $(DATA) $(dir $(MVP_RG))
 	$(BIN)/python benchmarks/readme.py
 
