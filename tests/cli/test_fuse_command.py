@@ -61,6 +61,25 @@ def test_people_get_a_table(files: list[str], tmp_path: Path) -> None:
         assert word in out
 
 
+def test_viewpoints_are_read_from_a_file(files: list[str], tmp_path: Path) -> None:
+    eyes = tmp_path / "eyes.txt"
+    options = ["--out", tmp_path / "m.xyz", "--method", "icp-point", "--workers", 1]
+    eyes.write_text("0 0 5\n-\n\n1, 2, 3\n")
+    assert call(*files, *options, "--viewpoints", eyes)[0] == 0
+    for text, message in (
+        ("0 0 5\n", "one per scan, 3, got 1"),
+        ("0 0 5\n-\n1 2\n", "line 3: expected three numbers"),
+        ("0 0 5\n-\n1 2 nan\n", "line 3: expected three numbers"),
+    ):
+        eyes.write_text(text)
+        code, _, err = call(*files, *options, "--viewpoints", eyes)
+        assert code == 1
+        assert message in err
+    code, _, err = call(*files, *options, "--viewpoints", tmp_path / "none.txt")
+    assert code == 1
+    assert "cannot read the viewpoints" in err
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

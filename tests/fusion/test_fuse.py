@@ -48,11 +48,17 @@ class Exact:
     def __init__(self) -> None:
         self.calls = 0
         self.wrong: set[int] = set()  # calls that are answered wrongly and surely
+        self.told: list[tuple[np.ndarray, np.ndarray]] = []  # viewpoints, and their clouds
 
-    def __call__(self, source: Any, target: Any, *, method: str, seed: int) -> Registration:
+    def __call__(
+        self, source: Any, target: Any, *, method: str, seed: int, **viewpoints: np.ndarray
+    ) -> Registration:
         rng = np.random.default_rng(self.calls)
         self.calls += 1
         a, b = source.points, target.points
+        for role, cloud in (("source", a), ("target", b)):
+            if f"{role}_viewpoint" in viewpoints:
+                self.told.append((viewpoints[f"{role}_viewpoint"], cloud))
         n = min(len(a), len(b))
         T = fit(a[:n], b[:n])
         fits = np.abs(a[:n] @ T[:3, :3].T + T[:3, 3] - b[:n]).max() < 1e-6
@@ -129,6 +135,43 @@ def test_two_objects_are_two_groups_each_in_its_own_frame(exact: Exact) -> None:
             assert errors(T, true[0] @ np.linalg.inv(true[place]))[0] < 0.02
     assert any("2 groups" in note for note in fusion.notes)
     assert len(fusion.merged) == 2
+    # Both groups were tried as whole clouds, once.
+    whole = [edge for edge in fusion.edges if len(edge.target_scans) > 1]
+    assert [(edge.target_scans, edge.source_scans) for edge in whole] == [fusion.groups]
+    assert all(edge.chosen == -1 for edge in whole)
+    page = render_fusion_report([others[0], *ones, *others[1:]], fusion)
+    assert " and 3 more" in page
+
+
+def test_viewpoints_come_along_in_the_unit_and_frame_of_the_pair(exact: Exact) -> None:
+    clouds, _ = scans_of(shape(), 3, scale=1e3, far=1e5)
+    fullturn.fuse(clouds, viewpoints=[clouds[0][7], None, list(clouds[2][7])])
+    assert len(exact.told) == 4  # each of two scans is in two pairs
+    for place, cloud in exact.told:
+        np.testing.assert_allclose(place, cloud[7], atol=1e-9)
+
+
+def test_another_viewpoint_is_another_pair_in_the_cache(exact: Exact, tmp_path: Path) -> None:
+    clouds, _ = scans_of(shape(), 3)
+    fullturn.fuse(clouds, cache=tmp_path)
+    fullturn.fuse(clouds, cache=tmp_path, viewpoints=[None, None, (0.0, 0.0, 5.0)])
+    assert exact.calls == 5  # two of three pairs again
+
+
+@pytest.mark.parametrize(
+    ("viewpoints", "message"),
+    [
+        ([None], "one per scan, 2, got 1"),
+        ([None, (0.0, 1.0)], "three finite numbers for scan 2"),
+        ([None, (0.0, 1.0, float("inf"))], "three finite numbers for scan 2"),
+        ([None, "here"], "three finite numbers for scan 2"),
+        ("here", "a list"),
+        (3, "a list"),
+    ],
+)
+def test_viewpoints_that_are_none_are_an_error(viewpoints: Any, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        fullturn.fuse([shape(), shape(1)], viewpoints=viewpoints)
 
 
 def test_a_wrong_sure_answer_is_outvoted(exact: Exact) -> None:

@@ -15,13 +15,14 @@ from fullturn.api import register
 from fullturn.errors import FullturnError, one_line
 from fullturn.evaluation.fingerprint import fingerprint
 from fullturn.fusion.cache import EdgeCache
-from fullturn.fusion.scans import Scan, centered_points
+from fullturn.fusion.scans import Body
 from fullturn.io import LoadedCloud
 from fullturn.methods.registry import get
 from fullturn.result import Registration
 from fullturn.workers import Crew
 
 Pair = tuple[int, int]  # target and source, places in the list of usable scans
+Sides = tuple[tuple[int, ...], tuple[int, ...]]  # the scans that were registered as one cloud each
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +37,12 @@ class Edge:
     covariance: np.ndarray  # (6, 6) of the best pose, right perturbation
     is_symmetric: bool = False  # the poses are turns of the source onto itself
     error: str | None = None
+    held: Sides | None = None  # where whole groups were registered: which, the target's first
+
+    @property
+    def sides(self) -> Sides:
+        """The scans at both ends that were registered as one cloud each."""
+        return self.held or ((self.target,), (self.source,))
 
     @property
     def doubt(self) -> float:
@@ -64,26 +71,25 @@ def failed_edge(target: int, source: int, error: object) -> Edge:
     )
 
 
-def pair_key(method: str, seed: int, length: float) -> Callable[[Scan, Scan], str]:
-    """What a pair's edge depends on, hashed: both scans, the method's code, seed and unit."""
+def pair_key(method: str, seed: int, length: float) -> Callable[[Body, Body], str]:
+    """What an edge depends on, hashed: both clouds, the method's code, seed and unit."""
     code, _ = fingerprint(get(method))
     settings = f"{fullturn.__version__} {code} {seed} {length!r}"
 
-    def key(target: Scan, source: Scan) -> str:
+    def key(target: Body, source: Body) -> str:
         return hashlib.sha256(f"{target.key} {source.key} {settings}".encode()).hexdigest()
 
     return key
 
 
 class Registrar:
-    """Registers pairs of scans, in worker processes if there are several, and keeps the results.
+    """Registers pairs of clouds, in worker processes if there are several, and keeps the results.
 
     Leaving the block stops the workers; what is finished stays in the cache.
     """
 
     def __init__(
         self,
-        scans: Sequence[Scan],
         *,
         length: float,
         method: str,
@@ -91,7 +97,7 @@ class Registrar:
         workers: int,
         cache: EdgeCache | None = None,
     ) -> None:
-        self._scans, self._length, self._cache = scans, length, cache
+        self._length, self._cache = length, cache
         self._work = partial(_registered, method=method, seed=seed)
         self._crew = Crew(self._work, workers=workers) if workers > 1 else None
         self._key = None if cache is None else pair_key(method, seed, length)
@@ -103,13 +109,16 @@ class Registrar:
         if self._crew is not None:
             self._crew.__exit__(*error)
 
-    def run(self, pairs: Iterable[Pair], advance: Callable[[int], None]) -> list[Edge]:
-        """One edge per pair, in the order of the pairs; `advance` is told of each."""
+    def run(
+        self, bodies: Sequence[Body], pairs: Iterable[Pair], advance: Callable[[int], None]
+    ) -> list[Edge]:
+        """One edge per pair of bodies, in the order of the pairs; `advance` is told of each."""
         todo = list(pairs)
-        edges: list[Edge | None] = [self._found(pair) for pair in todo]
+        edges: list[Edge | None] = [self._found(bodies, pair) for pair in todo]
         missing = [number for number, edge in enumerate(edges) if edge is None]
         advance(len(todo) - len(missing))
-        tasks = [self._task(todo[number]) for number in missing]
+        ends = [(bodies[target], bodies[source]) for target, source in todo]
+        tasks = [(*ends[number], self._length) for number in missing]
 
         def done(place: int, outcome: Any) -> None:
             target, source = todo[missing[place]]
@@ -118,35 +127,46 @@ class Registrar:
             edges[missing[place]] = edge
             # A failure may be due to this run alone, such as too little memory.
             if self._cache is not None and self._key is not None and not is_error:
-                self._cache.add(self._key(self._scans[target], self._scans[source]), _fields(edge))
+                self._cache.add(self._key(*ends[missing[place]]), _fields(edge))
             advance(1)
 
         if self._crew is None or len(tasks) < 2:
             for place, task in enumerate(tasks):
                 done(place, self._work(task))
         else:
-            self._crew.run(tasks, done)
+            self._crew.run(tasks, done, portable=_portable)
         return [edge for edge in edges if edge is not None]
 
-    def _task(self, pair: Pair) -> tuple[Any, ...]:
-        target, source = (self._scans[number] for number in pair)
-        return target.origin, target.center, source.origin, source.center, self._length
-
-    def _found(self, pair: Pair) -> Edge | None:
+    def _found(self, bodies: Sequence[Body], pair: Pair) -> Edge | None:
         if self._cache is None or self._key is None:
             return None
-        fields = self._cache.get(self._key(*(self._scans[number] for number in pair)))
+        fields = self._cache.get(self._key(*(bodies[number] for number in pair)))
         return None if fields is None else _edge(*pair, fields)
 
 
-def _registered(task: tuple[Any, ...], *, method: str, seed: int) -> Registration | FullturnError:
-    target, target_center, source, source_center, length = task
+def _portable(task: tuple[Body, Body, float]) -> tuple[Body, Body, float]:
+    """The task without what only this process needs."""
+    target, source, length = task
+    bare = [Body(body.key, body.origin, body.center, body.viewpoint) for body in (target, source)]
+    return bare[0], bare[1], length
+
+
+def _registered(
+    task: tuple[Body, Body, float], *, method: str, seed: int
+) -> Registration | FullturnError:
+    target, source, length = task
+    eyes = {
+        f"{role}_viewpoint": (body.viewpoint - body.center) / length
+        for role, body in (("source", source), ("target", target))
+        if body.viewpoint is not None
+    }
     try:
         return register(
-            LoadedCloud(centered_points(source, source_center) / length, name="source"),
-            LoadedCloud(centered_points(target, target_center) / length, name="target"),
+            LoadedCloud(source.points() / length, name="source"),
+            LoadedCloud(target.points() / length, name="target"),
             method=method,
             seed=seed,
+            **eyes,
         )
     except FullturnError as error:
         return error.with_traceback(None)  # whose frames would keep the clouds in memory

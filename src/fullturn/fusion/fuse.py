@@ -8,26 +8,21 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
-import torch
 
 from fullturn.batch import check_seed
 from fullturn.errors import InputError
 from fullturn.fusion.cache import EdgeCache
+from fullturn.fusion.connect import connect_groups, connect_scans, refine_groups
 from fullturn.fusion.edges import Edge, Registrar
-from fullturn.fusion.graph import GraphConfig, Placement, place_scans
-from fullturn.fusion.joint import refine_joint
-from fullturn.fusion.likely import ALL_PAIRS_UP_TO, likely_pairs, next_pairs
+from fullturn.fusion.graph import GraphConfig, Placement
 from fullturn.fusion.merge import MergedCloud, merge_clouds
-from fullturn.fusion.optimize import Link, gtsam, optimize_poses
+from fullturn.fusion.optimize import gtsam
 from fullturn.fusion.result import FusedEdge, Fusion
 from fullturn.fusion.scans import Scan, check_scans
 from fullturn.methods.registry import get
-from fullturn.progress import progress_bar
 from fullturn.threads import torch_threads
 from fullturn.workers import check_workers
 
-_ALTERNATIVE_SIGMA = 0.02  # of a pose that isn't an edge's best, whose covariance isn't known
-_REACH, _CLOSEST = 0.1, 2.5  # of the joint refinement: in units of the fusion, in spacings
 _CELL = 1.5  # of the merged cloud, in spacings
 
 
@@ -35,6 +30,7 @@ _CELL = 1.5  # of the merged cloud, in spacings
 def fuse(
     clouds: Sequence[Any],
     *,
+    viewpoints: Sequence[Any] | None = None,
     method: str = "auto",
     seed: int = 0,
     min_probability: float = 0.8,
@@ -44,9 +40,11 @@ def fuse(
 ) -> Fusion:
     """Find the pose of every scan and merge them; scans that don't connect stay apart.
 
-    A cloud is whatever `register` takes, all in one unit. Two groups of scans are joined where the
-    poses between them are right with at least `min_probability`. Up to 12 scans, all pairs are
-    registered; of more, the most alike first, until all are connected or 10 pairs a scan are done.
+    A cloud is whatever `register` takes, all in one unit. `viewpoints` says where the sensors
+    stood: three numbers in each cloud's own frame, or None where that isn't known. Two groups of
+    scans are joined where the poses between them are right with at least `min_probability`. Up to
+    12 scans, all pairs are registered; of more, the most alike first, until all are connected or 10
+    pairs a scan are done. Groups that remain are registered as whole clouds.
     `workers` as in `register_many`: a script calls this from under ``if __name__ == "__main__":``
     where there are several. With a `cache` folder, finished pairs are kept, and a fusion that was
     stopped goes on where it was. The result is the same for any number of workers, and from a
@@ -69,18 +67,20 @@ def fuse(
         )
     config = GraphConfig(min_probability=float(min_probability))
     kept = None if cache is None else EdgeCache(cache)
-    scans, notes = check_scans(clouds)
+    scans, notes = check_scans(clouds, viewpoints)
     length = float(np.median([scan.radius for scan in scans]))
     loaded = time.perf_counter()
 
-    registrar = Registrar(
-        scans, length=length, method=method, seed=seed, workers=workers, cache=kept
-    )
-    with registrar:
-        edges, placement = _connect(registrar, scans, length, config, progress=progress)
+    with Registrar(
+        length=length, method=method, seed=seed, workers=workers, cache=kept
+    ) as registrar:
+        edges, placement = connect_scans(registrar, scans, length, config, progress=progress)
+        edges, placement = connect_groups(
+            registrar, scans, length, config, edges, placement, progress=progress
+        )
     connected = time.perf_counter()
 
-    poses, covariance = _refined(scans, length, edges, placement)
+    poses, covariance = refine_groups(scans, length, edges, placement)
     refined = time.perf_counter()
     worlds, covariances = _denormalized(scans, length, placement, poses, covariance)
     merged = tuple(_merged([scans[s] for s in g], worlds[list(g)]) for g in placement.groups)
@@ -106,75 +106,6 @@ def fuse(
     return _result(
         clouds, scans, edges, placement, worlds, covariances, merged, name, seconds, notes
     )
-
-
-def _connect(
-    registrar: Registrar,
-    scans: Sequence[Scan],
-    length: float,
-    config: GraphConfig,
-    *,
-    progress: bool,
-) -> tuple[list[Edge], Placement]:
-    """Register pairs in rounds until the scans are connected or enough has been tried."""
-    count = len(scans)
-    few = [(i, j) for i in range(count) for j in range(i + 1, count)]
-    order = few if count <= ALL_PAIRS_UP_TO else likely_pairs(scans, length)
-    edges: list[Edge] = []
-    placement = place_scans(count, edges, config)
-    number = 1
-    while True:
-        done = {(edge.target, edge.source) for edge in edges}
-        trusted = [
-            (edge.target, edge.source)
-            for edge, chosen in zip(edges, placement.chosen, strict=True)
-            if chosen >= 0
-        ]
-        todo = next_pairs(order, done, placement.groups, trusted, scans=count)
-        if not todo:
-            return edges, placement
-        with progress_bar(f"registering, round {number}", len(todo), shown=progress) as advance:
-            edges += registrar.run(todo, advance)
-        placement = place_scans(count, edges, config)
-        number += 1
-
-
-def _refined(
-    scans: Sequence[Scan], length: float, edges: Sequence[Edge], placement: Placement
-) -> tuple[np.ndarray, np.ndarray]:
-    """Poses (n, 4, 4) and covariances (n, 6, 6) in units of the fusion, by scan."""
-    poses = placement.T_group_scan.copy()
-    covariance = np.zeros((len(scans), 6, 6))
-    for group in placement.groups:
-        if len(group) == 1:
-            continue
-        members = list(group)
-        place = {scan: number for number, scan in enumerate(members)}
-        links = [
-            Link(
-                place[edge.target],
-                place[edge.source],
-                edge.T_target_source[chosen],
-                edge.covariance if chosen == 0 else _ALTERNATIVE_SIGMA**2 * np.eye(6),
-            )
-            for edge, chosen in zip(edges, placement.chosen, strict=True)
-            if chosen >= 0 and edge.target in place
-        ]
-        poses[members], covariance[members] = optimize_poses(poses[members], links)
-        spacing = float(np.median([_sample_spacing(scans[s]) for s in members])) / length
-        poses[members] = refine_joint(
-            torch.from_numpy(poses[members]),
-            [scans[s].sample / length for s in members],
-            [scans[s].sample_normals for s in members],
-            reach=max(_REACH, _CLOSEST * spacing),
-            closest=_CLOSEST * spacing,
-        ).numpy()
-    return poses, covariance
-
-
-def _sample_spacing(scan: Scan) -> float:
-    """About how far apart a scan's sampled points lie: on a surface, 1 / √share as far as all."""
-    return scan.spacing * (scan.count / len(scan.sample)) ** 0.5
 
 
 def _denormalized(
@@ -245,6 +176,7 @@ def _result(
             chosen,
             edge.overlap[max(chosen, 0)] if edge.overlap else (0.0, 0.0),
             edge.error,
+            *(tuple(scans[scan].number for scan in side) for side in edge.sides),
         )
 
     return Fusion(

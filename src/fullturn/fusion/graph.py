@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
@@ -53,11 +54,23 @@ class Placement:
     chosen: tuple[int, ...]  # of each edge: the pose that agrees with the placement, or −1
 
 
-def place_scans(count: int, edges: Sequence[Edge], config: GraphConfig | None = None) -> Placement:
-    """Join `count` scans into groups by the edges that agree with one another."""
+def place_scans(
+    count: int,
+    edges: Sequence[Edge],
+    config: GraphConfig | None = None,
+    *,
+    start: Placement | None = None,
+) -> Placement:
+    """Join `count` scans into groups by the edges that agree with one another.
+
+    With a `start`, its groups stand, as far as nothing speaks against them, and grow.
+    """
     config = config or GraphConfig()
-    pool = {frozenset((e.target, e.source)): e for e in edges if len(e.probability)}
-    graph = _Graph(count, pool, config)
+    pool: dict[frozenset[int], list[Edge]] = {}
+    for edge in edges:
+        if len(edge.probability):
+            pool.setdefault(frozenset((edge.target, edge.source)), []).append(edge)
+    graph = _Graph(count, pool, config, start)
     graph.join()
     for _ in range(config.sweeps):
         if not graph.reconsider():
@@ -118,10 +131,21 @@ def agree(one: np.ndarray, other: np.ndarray, at: np.ndarray, config: GraphConfi
 class _Graph:
     """Scans in groups that grow; each group has a frame, that of one of its scans."""
 
-    def __init__(self, count: int, pool: dict[frozenset[int], Edge], config: GraphConfig) -> None:
+    def __init__(
+        self,
+        count: int,
+        pool: dict[frozenset[int], list[Edge]],
+        config: GraphConfig,
+        start: Placement | None,
+    ) -> None:
         self.count, self.pool, self.config = count, pool, config
-        self.poses = np.tile(np.eye(4), (count, 1, 1))
+        self.poses = (
+            np.tile(np.eye(4), (count, 1, 1)) if start is None else start.T_group_scan.copy()
+        )
         self.label = list(range(count))  # of each scan's group
+        for group in start.groups if start is not None else ():
+            for scan in group:
+                self.label[scan] = group[0]
         self.next_label = count
         self.neighbors: dict[int, set[int]] = {scan: set() for scan in range(count)}
         for pair in pool:
@@ -131,11 +155,16 @@ class _Graph:
         pairs = [(min(pair), max(pair)) for pair in pool]
         self.order = sorted((-self._supported(i, j), i, j) for i, j in pairs)
 
-    def between(self, i: int, j: int) -> Measurement:
-        """What the edge of two scans says of T_i_j."""
-        edge = self.pool[frozenset((i, j))]
-        T = edge.T_target_source if edge.target == i else _inverse(edge.T_target_source)
-        return Measurement(T, edge.probability, edge.doubt)
+    def between(self, i: int, j: int) -> list[Measurement]:
+        """What the edges of two scans say of T_i_j."""
+        return [
+            Measurement(
+                edge.T_target_source if edge.target == i else _inverse(edge.T_target_source),
+                edge.probability,
+                edge.doubt,
+            )
+            for edge in self.pool[frozenset((i, j))]
+        ]
 
     def join(self) -> None:
         """Join groups while any two are firmly connected; symmetric poses only when none are."""
@@ -172,7 +201,8 @@ class _Graph:
             while waiting:
                 scan = waiting.pop()
                 for other in self.neighbors[scan]:
-                    if labels[other] < 0 and self._agreeing(scan, other) >= 0:
+                    agree_here = (self._agreeing(e) for e in self.pool[frozenset((scan, other))])
+                    if labels[other] < 0 and any(pose >= 0 for pose in agree_here):
                         labels[other] = start
                         waiting.append(other)
         self.label = labels
@@ -189,9 +219,7 @@ class _Graph:
                 T, shares, _ = self._relative(rest, [scan], as_new=True)
                 here = agree(self.poses[scan][None], T, np.zeros(3), self.config)[0]
                 probability[scan] = min(1.0, float(shares[here].sum()))  # rounding alone exceeds it
-        chosen = tuple(
-            self._agreeing(e.target, e.source) if len(e.probability) else -1 for e in edges
-        )
+        chosen = tuple(self._agreeing(edge) for edge in edges)
         return Placement(tuple(groups), poses, probability, chosen)
 
     def members(self, label: int) -> list[int]:
@@ -200,14 +228,15 @@ class _Graph:
     def _supported(self, i: int, j: int) -> float:
         """The probability of the best pose of an edge, the paths over third scans heard."""
         direct = self.between(i, j)
-        heard = [direct]
+        heard = list(direct)
         for k in sorted(self.neighbors[i] & self.neighbors[j]):
-            first, second = self.between(i, k), self.between(k, j)
-            p = (first.probability[:, None] * second.probability).ravel()
-            T = (first.T[:, None] @ second.T).reshape(-1, 4, 4)
-            heard.append(Measurement(T, p, 1.0 - float(p.sum())))
+            for first, second in product(self.between(i, k), self.between(k, j)):
+                p = (first.probability[:, None] * second.probability).ravel()
+                T = (first.T[:, None] @ second.T).reshape(-1, 4, 4)
+                heard.append(Measurement(T, p, 1.0 - float(p.sum())))
         T, probability, _ = posterior(heard, np.zeros(3), self.config)
-        is_direct = agree(T, direct.T, np.zeros(3), self.config).any(1)
+        said = np.concatenate([measurement.T for measurement in direct])
+        is_direct = agree(T, said, np.zeros(3), self.config).any(1)
         return float(probability[is_direct].max(initial=0.0))
 
     def _join_one(
@@ -242,7 +271,8 @@ class _Graph:
         if not any(self._is_firm(m, T[0], middle) for m in heard):
             return T[0], 0.0, 1.0, False
         linking = [self.pool[frozenset((i, j))] for i in one for j in self.neighbors[i] & {*other}]
-        return T[0], float(probability[0]), none, all(edge.is_symmetric for edge in linking)
+        is_symmetric = all(edge.is_symmetric for edges in linking for edge in edges)
+        return T[0], float(probability[0]), none, is_symmetric
 
     def _is_firm(self, said: Measurement, T: np.ndarray, at: np.ndarray) -> bool:
         here = agree(T[None], said.T, at, self.config)[0]
@@ -268,20 +298,20 @@ class _Graph:
         heard = []
         for i in one:
             for j in sorted(self.neighbors[i].intersection(other)):
-                edge = self.between(i, j)
                 back = np.eye(4) if as_new else _inverse(self.poses[j][None])[0]
-                T = self.poses[i] @ edge.T @ back
-                heard.append(Measurement(T, edge.probability, edge.doubt))
+                for said in self.between(i, j):
+                    T = self.poses[i] @ said.T @ back
+                    heard.append(Measurement(T, said.probability, said.doubt))
         middle = np.zeros(3) if as_new else self.poses[list(other), :3, 3].mean(0)
         return heard, middle
 
-    def _agreeing(self, i: int, j: int) -> int:
+    def _agreeing(self, edge: Edge) -> int:
         """Which pose of an edge agrees with the present ones; −1: none, or in other groups."""
-        if self.label[i] != self.label[j]:
+        i, j = edge.target, edge.source
+        if self.label[i] != self.label[j] or not len(edge.probability):
             return -1
-        said = self.between(i, j)
         now = _inverse(self.poses[i][None]) @ self.poses[j]
-        fits = np.flatnonzero(agree(now, said.T, np.zeros(3), self.config)[0])
+        fits = np.flatnonzero(agree(now, edge.T_target_source, np.zeros(3), self.config)[0])
         return int(fits[0]) if len(fits) else -1
 
 

@@ -133,7 +133,11 @@ def _scan_rows(fusion: Fusion, colors: Sequence[tuple[int, int, int]]) -> str:
 def _edge_rows(fusion: Fusion) -> str:
     rows = []
     for edge in fusion.edges:
-        target, source = (tables.text(fusion.names[n]) for n in (edge.target, edge.source))
+        ends = ((edge.target, edge.target_scans), (edge.source, edge.source_scans))
+        target, source = (
+            tables.text(fusion.names[n]) + (f" and {len(held) - 1} more" if len(held) > 1 else "")
+            for n, held in ends
+        )
         ranked = " ".join(tables.probability(p) for p in edge.probability[:4])
         rows.append(
             f"<tr><th>{target}</th><td>{source}</td>"

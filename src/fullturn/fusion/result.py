@@ -11,7 +11,10 @@ from fullturn.fusion.merge import MergedCloud
 
 @dataclass(frozen=True, eq=False)
 class FusedEdge:
-    """One registered pair, as numbers into the list of clouds that was given."""
+    """One registered pair, as numbers into the list of clouds that was given.
+
+    Where whole groups were registered, each as one cloud, the pose is that of their first scans.
+    """
 
     target: int
     source: int
@@ -19,6 +22,8 @@ class FusedEdge:
     chosen: int  # the pose that agrees with the fusion, −1: none
     overlap: tuple[float, float]  # (source share, target share) of that pose, or of the first
     error: str | None = None
+    target_scans: tuple[int, ...] = ()  # all that the target's cloud was made of: one, or a group
+    source_scans: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

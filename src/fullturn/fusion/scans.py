@@ -23,56 +23,67 @@ _UNLIKE_SIZE, _UNLIKE_SPACING = 10.0, 10.0
 
 
 @dataclass(frozen=True, eq=False)
-class Scan:
+class Body:
+    """What is registered as one cloud: a scan, or several that are held together."""
+
+    key: str  # hash of all that the cloud depends on
+    origin: str | LoadedCloud
+    center: np.ndarray  # (3,) mean, in the origin's frame and the input's unit
+    viewpoint: np.ndarray | None  # (3,) where the sensor stood, likewise
+
+    def points(self) -> np.ndarray:
+        """All points (N, 3) less the center, in the input's unit."""
+        loaded = self.origin if isinstance(self.origin, LoadedCloud) else load_cloud(self.origin)
+        return loaded.points - self.center
+
+
+@dataclass(frozen=True, eq=False)
+class Scan(Body):
     """What is kept of a scan; a file's points are read again where all of them are needed."""
 
     number: int  # its place in the list that was given
     name: str
-    origin: str | LoadedCloud
-    key: str  # hash of its points
+    points_key: str  # hash of its points alone
     count: int
-    center: np.ndarray  # (3,) mean, in the input's frame and unit
     radius: float  # in the input's unit, as is the spacing
     spacing: float
     sample: Float[Tensor, "s 3"]  # less the center, in the input's unit
     sample_normals: Float[Tensor, "s 3"]
     notes: tuple[str, ...]
 
-    def points(self) -> np.ndarray:
-        """All points (N, 3) less the center, in the input's unit."""
-        return centered_points(self.origin, self.center)
+    @property
+    def sample_spacing(self) -> float:
+        """About how far apart sampled points lie: on a surface, 1 / √share as far as all."""
+        return self.spacing * (self.count / len(self.sample)) ** 0.5
 
 
-def centered_points(origin: str | LoadedCloud, center: np.ndarray) -> np.ndarray:
-    """The points of a file or a loaded cloud, less `center`."""
-    loaded = origin if isinstance(origin, LoadedCloud) else load_cloud(origin)
-    return loaded.points - center
-
-
-def check_scans(clouds: Sequence[Any]) -> tuple[list[Scan], list[str]]:
+def check_scans(
+    clouds: Sequence[Any], viewpoints: Sequence[Any] | None = None
+) -> tuple[list[Scan], list[str]]:
     """The usable scans, and notes on those left out: unreadable, empty, or there twice.
 
     Raises:
-        InputError: fewer than two scans, or fewer than two that can be used.
+        InputError: fewer than two scans, or fewer than two that can be used, or viewpoints that
+            cannot be.
     """
     if isinstance(clouds, (str, bytes)) or not isinstance(clouds, Sequence) or len(clouds) < 2:
         got = f"{len(clouds)}" if isinstance(clouds, Sequence) else f"a {type(clouds).__name__}"
         raise InputError(f"clouds: expected a list of at least 2 scans, got {got}; add scans")
+    eyes = check_viewpoints(viewpoints, len(clouds))
     scans: list[Scan] = []
     notes: list[str] = []
     first: dict[str, Scan] = {}
-    for number, cloud in enumerate(clouds):
+    for number, (cloud, eye) in enumerate(zip(clouds, eyes, strict=True)):
         try:
-            scan = _scan(number, cloud)
+            scan = _scan(number, cloud, eye)
         except FullturnError as error:
             notes.append(f"left out scan {number + 1}: {error}")
             continue
         notes += scan.notes
-        if scan.key in first:
-            twin = first[scan.key].name
-            notes.append(f"left out {scan.name}: it holds the same points as {twin}")
+        twin = first.setdefault(scan.points_key, scan)
+        if twin is not scan:
+            notes.append(f"left out {scan.name}: it holds the same points as {twin.name}")
             continue
-        first[scan.key] = scan
         scans.append(scan)
     if len(scans) < 2:
         raise InputError(
@@ -82,7 +93,41 @@ def check_scans(clouds: Sequence[Any]) -> tuple[list[Scan], list[str]]:
     return scans, notes + _unlike(scans)
 
 
-def _scan(number: int, cloud: Any) -> Scan:
+def check_viewpoints(viewpoints: Sequence[Any] | None, count: int) -> list[np.ndarray | None]:
+    """One place (3,) or None per scan.
+
+    Raises:
+        InputError: another number of them, or one that is no place.
+    """
+    if viewpoints is None:
+        return [None] * count
+    if isinstance(viewpoints, (str, bytes)) or not hasattr(viewpoints, "__len__"):
+        raise InputError(
+            "viewpoints: expected a list with three numbers or None for each scan, got a "
+            f"{type(viewpoints).__name__}"
+        )
+    if len(viewpoints) != count:
+        raise InputError(
+            f"viewpoints: expected one per scan, {count}, got {len(viewpoints)}; give None where "
+            "a sensor's place isn't known"
+        )
+    return [None if eye is None else _place(number, eye) for number, eye in enumerate(viewpoints)]
+
+
+def _place(number: int, viewpoint: Any) -> np.ndarray:
+    try:
+        place = np.array(viewpoint, dtype=np.float64)
+    except (ValueError, TypeError):
+        place = np.zeros(0)
+    if place.shape != (3,) or not np.isfinite(place).all():
+        raise InputError(
+            f"viewpoints: expected three finite numbers for scan {number + 1}, where its sensor "
+            f"stood in the scan's own frame, or None; got {viewpoint!r:.80}"
+        )
+    return place
+
+
+def _scan(number: int, cloud: Any, eye: np.ndarray | None) -> Scan:
     is_file = isinstance(cloud, (str, os.PathLike))
     role = None if is_file or isinstance(cloud, LoadedCloud) else f"scan {number + 1}"
     loaded = load_cloud(cloud, name=role)
@@ -91,13 +136,16 @@ def _scan(number: int, cloud: Any) -> Scan:
     center = points[0] + (points - points[0]).mean(axis=0)
     seen = Cloud(torch.from_numpy(points - center))
     every = -(-len(seen.sample) // _SAMPLE_POINTS)
+    points_key = hashlib.sha256(points.tobytes()).hexdigest()
     return Scan(
+        key=points_key if eye is None else f"{points_key} {eye.tolist()}",
+        origin=os.fspath(cloud) if is_file else loaded,
+        center=center,
+        viewpoint=eye,
         number=number,
         name=loaded.name,
-        origin=os.fspath(cloud) if is_file else loaded,
-        key=hashlib.sha256(points.tobytes()).hexdigest(),
+        points_key=points_key,
         count=len(points),
-        center=center,
         radius=float(np.quantile(np.linalg.norm(points - center, axis=1), _RADIUS_QUANTILE)),
         spacing=seen.spacing,
         sample=seen.sample[::every].clone(),  # a view would keep all points in memory
