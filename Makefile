@@ -49,6 +49,10 @@ results: $(VENV)/.installed
 	$(BIN)/python benchmarks/speed.py
 	$(BIN)/python benchmarks/covariance.py --data $(DATA)
 	$(BIN)/python benchmarks/locate.py --data $(DATA) --out results/locate.jsonl --page docs/locate.md
+	$(BIN)/python benchmarks/fuse.py stanford --data $(DATA) --out results/fuse-stanford.jsonl \
+		--page docs/fuse.md
+	$(BIN)/python benchmarks/fuse.py views --data $(DATA) --out results/fuse-views.jsonl \
+		--page docs/fuse.md
 	$(BIN)/python benchmarks/limits.py $(RUNS:%=results/%) --data $(DATA) $(dir $(MVP_RG))
 	$(BIN)/python benchmarks/readme.py
 
