@@ -169,4 +169,4 @@ def test_the_shipped_weights_fit_the_features() -> None:
 @pytest.mark.parametrize("name", ["verdict", "locate"])
 def test_weights_for_other_features_are_refused(name: str) -> None:
     with pytest.raises(FullturnError, match=rf"expected weights fit to the 2 .*fit_{name}.py"):
-        load_weights(name, ("distance", "gravity"))
+        load_weights(f"{name}.safetensors", ("distance", "gravity"))

@@ -63,7 +63,7 @@ def judge(
     taken greedily: once a pose is listed, those that it speaks for are not listed again.
     """
     inputs = verdict_inputs(features.double())
-    log_p = log_probabilities(inputs, load_weights("locate", FEATURES))
+    log_p = log_probabilities(inputs, load_weights("locate.safetensors", FEATURES))
     best = int(log_p[:-1].argmax())
     fewest = torch.minimum(explained.sum(1), explained[best].sum()).clamp_min(1)
     rival = (explained & explained[best]).sum(1) >= _APART * fewest

@@ -108,7 +108,9 @@ def judge(T_target_source: Float[Tensor, "k 4 4"], features: Float[Tensor, "k f"
 
 
 @cache
-def load_weights(name: str = "verdict", features: tuple[str, ...] = FEATURES) -> VerdictWeights:
+def load_weights(
+    file: str = "verdict.safetensors", features: tuple[str, ...] = FEATURES
+) -> VerdictWeights:
     """Weights in the package, checked against the features that this code measures.
 
     Raises:
@@ -116,12 +118,13 @@ def load_weights(name: str = "verdict", features: tuple[str, ...] = FEATURES) ->
     """
     from safetensors import safe_open
 
-    path = resources.files("fullturn") / "weights" / f"{name}.safetensors"
-    with resources.as_file(path) as file, safe_open(file, framework="pt") as stored:
+    name = file.removesuffix(".safetensors")
+    path = resources.files("fullturn") / "weights" / file
+    with resources.as_file(path) as place, safe_open(place, framework="pt") as stored:
         names = json.loads(stored.metadata()["features"])
         if names != list(features):
             raise FullturnError(
-                f"{name}.safetensors: expected weights fit to the {len(features)} features that "
-                f"are measured of a pose, got {len(names)} others; run benchmarks/fit_{name}.py"
+                f"{file}: expected weights fit to the {len(features)} features that are measured "
+                f"of a pose, got {len(names)} others; run benchmarks/fit_{name}.py"
             )
         return VerdictWeights(**{key: stored.get_tensor(key) for key in _WEIGHTS})
