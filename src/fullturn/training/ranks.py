@@ -79,5 +79,7 @@ def join_ranks(device: torch.device) -> Iterator[Ranks]:
     dist.init_process_group("nccl" if device.type == "cuda" else "gloo")
     try:
         yield Ranks(dist.get_rank(), dist.get_world_size())
+        # One that leaves while another still talks to it may abort instead of ending.
+        dist.barrier()
     finally:
         dist.destroy_process_group()
