@@ -16,7 +16,7 @@ from fullturn.pose.search import Finalists, SearchConfig, find_finalists
 from fullturn.pose.verify import FEATURES
 
 T_TRUE = random_motions(1, seed=4)[0]
-SMALL = SearchConfig(coarse_points=400, verify_points=900, match_limit=400, modes=40, finalists=10)
+SMALL = SearchConfig(coarse_points=400, verify_points=900, modes=40, finalists=10)
 
 
 def clouds(n: int = 3000, m: int = 2500, *, order: int | None = None) -> tuple[Cloud, Cloud]:

@@ -18,8 +18,8 @@ class Matches:
     similarity: Float[Tensor, " m"]
 
 
-def candidate_matches(similarity: Float[Tensor, "n m"], *, limit: int = 1000) -> Matches:
-    """The `limit` best pairs of a point and its most similar point in the other cloud, both ways.
+def candidate_matches(similarity: Float[Tensor, "n m"], *, limit: int | None = None) -> Matches:
+    """Pairs of a point and its most similar point in the other cloud, both ways; the `limit` best.
 
     They are distinct: two points that are each other's most similar are one pair.
     """

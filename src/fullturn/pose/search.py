@@ -39,7 +39,6 @@ class SearchConfig:
 
     coarse_points: int = 800  # per cloud, for descriptors and hypotheses
     verify_points: int = 2048  # per cloud, for the last refinement and the verdict
-    match_limit: int = 1000
     length_tolerance: float = 2.5  # between two matches of one rigid motion
     modes: int = 64  # distinct poses refined on the coarse level
     mode_radius: float = 2.0  # RMS displacement that makes two poses distinct
@@ -128,7 +127,7 @@ def _measure_level(pair: LevelPair, source: Cloud, target: Cloud, T: Tensor) -> 
 
 
 def _hypothesize(pair: LevelPair, alike: Tensor, config: SearchConfig, clock: _Clock) -> Tensor:
-    matches = candidate_matches(alike, limit=config.match_limit)
+    matches = candidate_matches(alike)
     (source, source_normals), (target, target_normals) = (
         (level.points[level.keypoints], level.normals[level.keypoints])
         for level in (pair.source, pair.target)
