@@ -36,7 +36,7 @@ from fullturn.locating.verify import FEATURES
 from fullturn.pose.grid import NearestGrid
 from fullturn.pose.verdict import VerdictWeights, log_probabilities, same_pose, verdict_inputs
 from locate_scenes import Scene, scene_of
-from logit import fit_logit, held_out_rows, write_logit
+from logit import fit_logit, held_out_rows, steps_parser, write_logit
 
 CARD = """# locate.safetensors
 
@@ -220,20 +220,8 @@ def report(table: Collected, rows: Tensor, inputs: Tensor, weights: VerdictWeigh
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("step", choices=["collect", "fit"])
-    parser.add_argument("--out", type=Path, default=Path("runs/locate"), help="collected parts")
-    parser.add_argument("--count", type=int, default=600, help="shapes to collect")
-    parser.add_argument("--first", type=int, default=0, help="number of the first shape")
-    parser.add_argument("--shard", type=int, default=20, help="shapes a file")
-    parser.add_argument("--seed", type=int, default=21)
-    parser.add_argument("--data", default=os.environ.get("FULLTURN_DATA"), help="mesh packs")
-    parser.add_argument("--hidden", type=int, default=16)
-    parser.add_argument("--steps", type=int, default=800)
-    parser.add_argument("--weight-decay", type=float, default=0.05)
-    parser.add_argument(
-        "--weights", type=Path, default=Path("src/fullturn/weights/locate.safetensors")
-    )
+    parser = steps_parser(__doc__, "locate", collected="shapes", count=600, shard=20, seed=21)
+    parser.set_defaults(hidden=16, steps=800, weight_decay=0.05)
     args = parser.parse_args()
     {"collect": collect, "fit": fit}[args.step](args)
 

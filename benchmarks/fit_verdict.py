@@ -41,7 +41,7 @@ from fullturn.pose.verdict import (
     verdict_inputs,
 )
 from fullturn.pose.verify import AGREEMENT, FEATURES
-from logit import fit_logit, held_out_rows, write_logit
+from logit import fit_logit, held_out_rows, steps_parser, write_logit
 
 CARD = """# verdict.safetensors
 
@@ -216,23 +216,9 @@ def report(table: Collected, rows: Tensor, inputs: Tensor, weights: VerdictWeigh
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("step", choices=["collect", "fit"])
-    parser.add_argument(
-        "--out", type=Path, default=Path("runs/verdict"), help="folder of the pairs"
-    )
-    parser.add_argument("--count", type=int, default=4000, help="pairs to collect")
-    parser.add_argument("--first", type=int, default=0, help="number of the first pair")
-    parser.add_argument("--shard", type=int, default=50, help="pairs a file")
+    parser = steps_parser(__doc__, "verdict", collected="pairs", count=4000, shard=50, seed=20)
+    parser.set_defaults(hidden=64, steps=2000, weight_decay=0.5)
     parser.add_argument("--dense", action="store_true", help="clouds of 5,000 points and more")
-    parser.add_argument("--seed", type=int, default=20)
-    parser.add_argument("--data", default=os.environ.get("FULLTURN_DATA"), help="mesh packs")
-    parser.add_argument("--hidden", type=int, default=64)
-    parser.add_argument("--steps", type=int, default=2000)
-    parser.add_argument("--weight-decay", type=float, default=0.5)
-    parser.add_argument(
-        "--weights", type=Path, default=Path("src/fullturn/weights/verdict.safetensors")
-    )
     args = parser.parse_args()
     {"collect": collect, "fit": fit}[args.step](args)
 

@@ -32,14 +32,12 @@ from __future__ import annotations
 
 import argparse
 import io
-import json
 import os
 import resource
 import sys
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
@@ -69,13 +67,12 @@ from fuse_cases import (
     views_of,
 )
 from marked import rewrite
+from rows import Row, add_data, collect_rows
 
 OBJECTS = ("bunny", "dragon")
 SETS = (("bunny",), ("dragon",), OBJECTS)
 DRAWN = 4_000  # points of a scan
 COLORS = 48  # of a picture's palette
-
-Row = dict[str, Any]
 
 
 def stanford_rows(args: argparse.Namespace, done: set[str]) -> Iterator[Row]:
@@ -252,12 +249,7 @@ def main() -> None:
     """Fuse, count, print."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("what", choices=("stanford", "views"))
-    parser.add_argument(
-        "--data",
-        type=Path,
-        default=Path(os.environ["FULLTURN_DATA"]) if "FULLTURN_DATA" in os.environ else None,
-        help="the folder with stanford_scans and the mesh packs; else FULLTURN_DATA",
-    )
+    add_data(parser, "stanford_scans and the mesh packs")
     parser.add_argument("--seeds", type=int, default=5, help="of stanford")
     parser.add_argument("--count", type=int, default=40, help="meshes of views")
     parser.add_argument("--split", default="val", help="of the meshes")
@@ -269,22 +261,18 @@ def main() -> None:
         parser.error("--data: expected the folder of the scans and mesh packs")
     torch.set_num_threads(1)
     out = args.out or Path("results") / f"fuse-{args.what}.jsonl"
-    out.parent.mkdir(parents=True, exist_ok=True)
-    text = out.read_text() if out.exists() else ""
-    # What a stopped run left unfinished is done again.
-    whole = text[: text.rfind("\n") + 1]
-    out.write_text(whole)
-    rows = [json.loads(line) for line in whole.splitlines()]
     make, tabulate = {
         "stanford": (stanford_rows, stanford_table),
         "views": (views_rows, views_table),
     }[args.what]
-    with out.open("a") as file:
-        for row in make(args, {row["case"] for row in rows}):
-            rows.append(row)
-            file.write(json.dumps(row) + "\n")
-            file.flush()
-            print(row["case"], row["groups"], f"{row['cpu']:.0f} s", file=sys.stderr)
+
+    def missing(rows: list[Row]) -> Iterator[Row]:
+        return make(args, {row["case"] for row in rows})
+
+    def tell(row: Row) -> None:
+        print(row["case"], row["groups"], f"{row['cpu']:.0f} s", file=sys.stderr)
+
+    rows = collect_rows(out, missing, tell=tell)
     found = markdown(tabulate(rows))
     print(found)
     if args.what == "stanford":

@@ -12,7 +12,6 @@ run goes on where it was. Prints a Markdown table, and with --page puts it into 
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import time
 from collections.abc import Iterator
@@ -41,6 +40,7 @@ from fullturn.locating.locate import locate
 from fullturn.locating.model import prepare
 from locate_scenes import Scene, model_in_own_unit, scene_of
 from marked import rewrite
+from rows import Row, add_data, collect_rows
 
 BEGIN, END = "<!-- locate: begin -->", "<!-- locate: end -->"
 SCENES = ("alone", "plane", "others")
@@ -163,12 +163,7 @@ def table(rows: list[dict[str, Any]]) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument(
-        "--data",
-        type=Path,
-        default=Path(os.environ["FULLTURN_DATA"]) if "FULLTURN_DATA" in os.environ else None,
-        help="the folder of the mesh packs",
-    )
+    add_data(parser, "the mesh packs")
     parser.add_argument("--count", type=int, default=100, help="meshes")
     parser.add_argument("--split", default="val")
     parser.add_argument("--scenes", nargs="+", choices=SCENES, default=list(SCENES))
@@ -179,18 +174,11 @@ def main() -> None:
     if args.data is None:
         parser.error("--data: expected the folder of the mesh packs")
     torch.set_num_threads(1)
-    args.out.parent.mkdir(parents=True, exist_ok=True)
-    text = args.out.read_text() if args.out.exists() else ""
-    # What a stopped run left unfinished is done again.
-    whole = text[: text.rfind("\n") + 1]
-    args.out.write_text(whole)
-    rows = [json.loads(line) for line in whole.splitlines()]
-    done = {(row["number"], row["kind"], row["known"]) for row in rows}
-    with args.out.open("a") as file:
-        for row in cases(args, done):
-            rows.append(row)
-            file.write(json.dumps(row) + "\n")
-            file.flush()
+
+    def missing(rows: list[Row]) -> Iterator[Row]:
+        return cases(args, {(row["number"], row["kind"], row["known"]) for row in rows})
+
+    rows = collect_rows(args.out, missing)
     found = table(rows)
     print(found)
     if args.page is not None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import argparse
 import dataclasses
 import json
+import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -83,3 +85,26 @@ def write_logit(weights: VerdictWeights, path: Path, *, features: Sequence[str],
     path.chmod(0o644)
     path.with_suffix(".md").write_text(card)
     print("wrote", path)
+
+
+def steps_parser(
+    doc: str | None, name: str, *, collected: str, count: int, shard: int, seed: int
+) -> argparse.ArgumentParser:
+    """The options of a script that collects what it then fits NAME.safetensors to.
+
+    `collected` names what is counted, as in "pairs".
+    """
+    parser = argparse.ArgumentParser(description=(doc or "").split("\n")[0])
+    parser.add_argument("step", choices=["collect", "fit"])
+    parser.add_argument("--out", type=Path, default=Path("runs") / name, help="what is collected")
+    parser.add_argument("--count", type=int, default=count, help=f"{collected} to collect")
+    parser.add_argument("--first", type=int, default=0, help="number of the first")
+    parser.add_argument("--shard", type=int, default=shard, help=f"{collected} a file")
+    parser.add_argument("--seed", type=int, default=seed)
+    parser.add_argument("--data", default=os.environ.get("FULLTURN_DATA"), help="mesh packs")
+    parser.add_argument("--hidden", type=int)
+    parser.add_argument("--steps", type=int)
+    parser.add_argument("--weight-decay", type=float)
+    weights = Path("src/fullturn/weights") / f"{name}.safetensors"
+    parser.add_argument("--weights", type=Path, default=weights)
+    return parser

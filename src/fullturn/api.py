@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fullturn.batch import RegistrationInterrupted, check_seed, register_many
-from fullturn.errors import InputError
 from fullturn.geometry.cloud import Cloud
 from fullturn.io import LoadedCloud, load_cloud
+from fullturn.io.check import as_viewpoint
 from fullturn.methods.base import Estimate
 from fullturn.methods.check import check_max_rotation, run_method
 from fullturn.methods.registry import get, methods
@@ -64,8 +64,8 @@ def register(
     rng = np.random.default_rng(check_seed(seed))
     max_rotation_deg = check_max_rotation(max_rotation_deg, type(solver))
     source_cloud, target_cloud = _load(source, "source"), _load(target, "target")
-    source_eye = _viewpoint(source_viewpoint, "source_viewpoint")
-    target_eye = _viewpoint(target_viewpoint, "target_viewpoint")
+    source_eye = as_viewpoint(source_viewpoint, "source_viewpoint", frame="cloud's own")
+    target_eye = as_viewpoint(target_viewpoint, "target_viewpoint", frame="cloud's own")
     checked = time.perf_counter()
 
     source_seen, target_seen, frame = normalized_clouds(
@@ -135,21 +135,6 @@ def _probabilities(source: Cloud, target: Cloud, estimate: Estimate) -> list[flo
     # The method's own order stays: its best pose is its answer, whatever the verdict thinks.
     log_probability = log_probabilities(verdict_inputs(features.double()), load_weights())
     return [float(p) for p in log_probability.exp()[: len(T)]]
-
-
-def _viewpoint(viewpoint: Any, name: str) -> np.ndarray | None:
-    if viewpoint is None:
-        return None
-    try:
-        place = np.array(viewpoint, dtype=np.float64)
-    except (ValueError, TypeError, RuntimeError) as error:
-        raise InputError(f"{name}: expected three numbers, got {viewpoint!r:.80}") from error
-    if place.shape != (3,) or not np.isfinite(place).all():
-        raise InputError(
-            f"{name}: expected three finite numbers, where the sensor stood in the cloud's own "
-            f"frame; got shape {place.shape}"
-        )
-    return place
 
 
 def _symmetry(found: CloudSymmetry | None) -> Symmetry | None:

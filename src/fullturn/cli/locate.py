@@ -158,19 +158,11 @@ def _content(result: Located, model: str, scene: str) -> dict[str, Any]:
 def _print_table(result: Located, model: str, scene: str) -> None:
     import numpy as np
     from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
 
-    from fullturn.cli.render import rotation_deg
+    from fullturn.cli.render import rotation_deg, titled_rows
     from fullturn.viz.tables import probability
 
-    table = Table(box=None, show_header=False, pad_edge=False)
-    table.add_column(style="bold", no_wrap=True)
-    table.add_column(overflow="fold")
-
-    def row(title: str, text: str) -> None:
-        table.add_row(title, Text(text))  # Text: a name may hold brackets that are no markup
-
+    table, row = titled_rows()
     row("model in scene", f"{model} in {scene}")
     for number, place in enumerate(result.locations, start=1):
         T = place.T_scene_model

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from rich.console import Console
@@ -19,13 +19,7 @@ from fullturn.viz.tables import probability
 def print_table(result: Registration, *, source_name: str, target_name: str) -> None:
     """Print what matters of a registration as a compact table."""
     T = result.T_target_source
-    table = RichTable(box=None, show_header=False, pad_edge=False)
-    table.add_column(style="bold", no_wrap=True)
-    table.add_column(overflow="fold")
-
-    def row(title: str, text: str) -> None:
-        table.add_row(title, Text(text))  # Text: a name may hold brackets that are no markup
-
+    table, row = titled_rows()
     row("source → target", f"{source_name} → {target_name}")
     row("rotation", f"{rotation_deg(T):.2f}°")
     row("translation", "  ".join(f"{x:.6g}" for x in T[:3, 3]))
@@ -45,6 +39,18 @@ def print_table(result: Registration, *, source_name: str, target_name: str) -> 
         row("note", note)
     row("seconds", f"{result.seconds['total']:.2f} ({result.method})")
     Console().print(table)
+
+
+def titled_rows() -> tuple[RichTable, Callable[[str, str], None]]:
+    """A table of titles and texts, and what adds a row to it."""
+    table = RichTable(box=None, show_header=False, pad_edge=False)
+    table.add_column(style="bold", no_wrap=True)
+    table.add_column(overflow="fold")
+
+    def row(title: str, text: str) -> None:
+        table.add_row(title, Text(text))  # Text: a name may hold brackets that are no markup
+
+    return table, row
 
 
 def print_json(result: Registration, *, source_name: str, target_name: str) -> None:

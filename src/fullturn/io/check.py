@@ -30,6 +30,28 @@ def as_points(values: object, name: str) -> np.ndarray:
     return points
 
 
+def as_viewpoint(viewpoint: object, name: str, *, frame: str) -> np.ndarray | None:
+    """Where a sensor stood, as a new float64 array (3,); None stays None.
+
+    `frame` says whose frame it is in, as in "scene's".
+
+    Raises:
+        InputError: not three finite numbers.
+    """
+    if viewpoint is None:
+        return None
+    try:
+        place = np.array(viewpoint, dtype=np.float64)
+    except (ValueError, TypeError, RuntimeError) as error:
+        raise InputError(f"{name}: expected three numbers, got {viewpoint!r:.80}") from error
+    if place.shape != (3,) or not np.isfinite(place).all():
+        raise InputError(
+            f"{name}: expected three finite numbers, where the sensor stood in the {frame} frame; "
+            f"got shape {place.shape}"
+        )
+    return place
+
+
 def check_shape(values: object, name: str) -> np.ndarray:
     """`values` as a real array (N, 3), N ≥ 1, without a copy where it is one.
 

@@ -16,6 +16,7 @@ from torch import Tensor
 from fullturn.errors import InputError
 from fullturn.geometry import rigid
 from fullturn.io import LoadedCloud, load_cloud
+from fullturn.io.check import as_viewpoint
 from fullturn.locating.candidates import Candidates, candidates, grid_of
 from fullturn.locating.judge import Judged, judge
 from fullturn.locating.model import PreparedModel, prepare
@@ -62,7 +63,7 @@ def locate(
     """
     begin = time.perf_counter()
     _check_instances(instances, min_probability)
-    eye = _viewpoint(scene_viewpoint)
+    eye = as_viewpoint(scene_viewpoint, "scene_viewpoint", frame="scene's")
     cloud = load_cloud(scene, name=_role(scene))
     loaded = time.perf_counter()
     prepared = _prepared(model)
@@ -215,23 +216,6 @@ def _check_instances(instances: int | None, min_probability: float) -> None:
         raise InputError(f"instances: expected a whole number of at least 1, got {instances!r}")
     if not 0.0 <= min_probability <= 1.0:
         raise InputError(f"min_probability: expected a number from 0 to 1, got {min_probability!r}")
-
-
-def _viewpoint(viewpoint: Any) -> np.ndarray | None:
-    if viewpoint is None:
-        return None
-    try:
-        place = np.array(viewpoint, dtype=np.float64)
-    except (ValueError, TypeError, RuntimeError) as error:
-        raise InputError(
-            f"scene_viewpoint: expected three numbers, got {viewpoint!r:.80}"
-        ) from error
-    if place.shape != (3,) or not np.isfinite(place).all():
-        raise InputError(
-            "scene_viewpoint: expected three finite numbers, where the sensor stood in the scene's "
-            f"frame; got shape {place.shape}"
-        )
-    return place
 
 
 def _size_notes(points: Tensor, model: PreparedModel) -> tuple[str, ...]:

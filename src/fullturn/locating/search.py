@@ -17,7 +17,6 @@ from fullturn.locating.visible import best_views, nearest_views, view_directions
 from fullturn.matching.correspondence import Matches, candidate_matches
 from fullturn.pose import hypotheses
 from fullturn.pose.grid import NearestGrid
-from fullturn.pose.planes import move_planes, squared_falloff
 from fullturn.pose.refine import refine_poses
 
 
@@ -140,12 +139,8 @@ class _Sampled:
         return self._seen[view], self._model.directions[view]
 
     def _explained(self, T: Tensor, *, truncation: float) -> Tensor:
-        parts = []
-        surface = self._surface.T.contiguous()
-        for some in T.split(128):
-            difference, _ = self._part.grid.nearest(move_planes(some, surface))
-            parts.append(squared_falloff(difference.square_().sum(0), truncation))
-        return torch.cat(parts)
+        parts = hypotheses.explained_parts(self._surface, self._part.grid, T, truncation=truncation)
+        return torch.cat(list(parts))
 
     def score(self, T: Tensor, *, truncation: float) -> Tensor:
         """How well the part lies on the model, and what is visible of the model on the scene."""

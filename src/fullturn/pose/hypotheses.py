@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
@@ -83,12 +85,26 @@ def score_poses(
     Counting area, not points, keeps dense parts of one cloud from being laid on dense parts of the
     other.
     """
-    planes, share = points.T.contiguous(), area / area.sum()
-    scores = []
+    share = area / area.sum()
+    parts = explained_parts(points, grid, T_grid_points, truncation=truncation)
+    return torch.cat([part @ share for part in parts])
+
+
+def explained_parts(
+    points: Float[Tensor, "n 3"],
+    grid: NearestGrid,
+    T_grid_points: Float[Tensor, "k 4 4"],
+    *,
+    truncation: float,
+) -> Iterator[Float[Tensor, "p n"]]:
+    """How well the grid's cloud explains each point, max(0, 1 − d²/truncation²), a few poses each.
+
+    Together the parts have a row for every pose.
+    """
+    planes = points.T.contiguous()
     for part in T_grid_points.split(_POSES_AT_ONCE):
         difference, _ = grid.nearest(move_planes(part, planes))
-        scores.append(squared_falloff(difference.square_().sum(0), truncation) @ share)
-    return torch.cat(scores)
+        yield squared_falloff(difference.square_().sum(0), truncation)
 
 
 def pose_coordinates(
