@@ -1,22 +1,27 @@
-"""Fit the verdict: which finalist is right, and is any of them?
+"""Fit the evidence network and the verdict: which finalist is right, and is any of them?
 
     python benchmarks/fit_verdict.py collect --out runs/verdict --count 4000 [--data DIR]
     python benchmarks/fit_verdict.py collect --out runs/verdict --dense --first 4000 --count 4800 …
+    python benchmarks/fit_verdict.py evidence --out runs/verdict
     python benchmarks/fit_verdict.py fit --out runs/verdict
 
 `collect` makes pairs of many kinds (one sampling or two, noise or none, half-space and plane crops,
 virtual scans, few and many points, unrelated shapes) from generated shapes and, with --data, from
 the freely licensed meshes of a mesh pack; it runs the search and stores what verification measured
-of each finalist. It resumes where it stopped. `fit` trains on 80 % of the shapes, reports
-calibration on the rest, and writes the weights into the package.
+of each finalist. It resumes where it stopped. `evidence` trains the network that sums up what all
+points say, `fit` then the verdict, which takes its number as one of its features: on 80 % of the
+shapes, with calibration on the rest; both write their weights into the package.
 """
 
 from __future__ import annotations
 
 import argparse
 import dataclasses
+import math
 import os
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
@@ -24,6 +29,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from evidence_fit import Signals, evidence_of_all, fit_evidence, write_evidence
 from free_shapes import DATA, free_shapes
 from fullturn.data.mixture import KINDS, mixed_pair
 from fullturn.data.motion import axis_angle_rotation, invert, move, rigid
@@ -32,15 +38,16 @@ from fullturn.errors import FullturnError
 from fullturn.evaluation.layout import Table, markdown
 from fullturn.evaluation.metrics import expected_calibration_error
 from fullturn.geometry.cloud import Cloud
+from fullturn.nn.evidence import load_evidence_net
 from fullturn.normalize import normalized_clouds
-from fullturn.pose.search import find_finalists
+from fullturn.pose.search import Finalists, find_finalists
 from fullturn.pose.verdict import (
     VerdictWeights,
     log_probabilities,
     same_pose,
     verdict_inputs,
 )
-from fullturn.pose.verify import AGREEMENT, FEATURES
+from fullturn.pose.verify import AGREEMENT, EVIDENCE, FEATURES
 from logit import fit_logit, held_out_rows, steps_parser, write_logit
 
 CARD = """# verdict.safetensors
@@ -56,6 +63,17 @@ Scores on the fifth of the shapes that was held out:
 {scores}
 """
 
+EVIDENCE_CARD = """# evidence.safetensors
+
+Weights of the network that sums up what all keypoints say of a pose (`fullturn.nn.evidence`);
+{parameters:,} numbers.
+
+- Recipe: `benchmarks/fit_verdict.py`, {count} pairs, four fifths of the shapes for the fit; the
+  loss of the verdict. Its scores are those of verdict.safetensors.
+{data}
+"""
+
+POINTS = 96  # of each cloud whose signals are kept
 
 WITHOUT_NETWORK = 0.15  # share of the pairs of the fit
 # Shapes unlike those of the fit are judged too surely: scores are made smaller by this, which cost
@@ -86,7 +104,7 @@ def nearly_aligned(pair: Pair, rng: np.random.Generator) -> Pair:
 
 def collect(args: argparse.Namespace) -> None:
     torch.set_num_threads(1)
-    shapes = free_shapes(args.seed, args.data, meshes=2)
+    shapes = free_shapes(args.seed, args.data, stretched=True)
     args.out.mkdir(parents=True, exist_ok=True)
     for first in range(args.first, args.count, args.shard):
         kind = "dense" if args.dense else "finalists"
@@ -113,11 +131,24 @@ def collect(args: argparse.Namespace) -> None:
                     "T": found.T_target_source.float(),
                     "T_true": None if mixed.kind == "unrelated" else T_true.float(),
                     "features": found.features,
-                    "spacing": found.spacing,
+                    "signals": some_points(found, rng),
                 }
             )
         torch.save(rows, path)
         print(path.name, len(rows), flush=True)
+
+
+def some_points(found: Finalists, rng: np.random.Generator) -> Tensor:
+    """(k, 2, POINTS, s) in half precision: the signals of random points of each cloud."""
+    if found.signals is None:
+        raise SystemExit("expected the descriptor network's weights in the package; fit it first")
+    values, sides = found.signals.values, []
+    for side in range(2):
+        count = int((found.signals.area[0, side] > 0).sum())
+        rows = torch.from_numpy(rng.permutation(count)[:POINTS])
+        chosen = values[:, side, rows]
+        sides.append(torch.nn.functional.pad(chosen, (0, 0, 0, POINTS - len(rows))))
+    return torch.stack(sides, 1).half()
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -132,16 +163,29 @@ class Collected:
     shape: np.ndarray
 
 
-def load_table(folder: Path) -> Collected:
-    rows = [row for f in sorted(folder.glob("*.pt")) for row in torch.load(f, weights_only=False)]
+def load_rows(folder: Path) -> list[dict[str, Any]]:
+    return [row for f in sorted(folder.glob("*.pt")) for row in torch.load(f, weights_only=False)]
+
+
+def load_signals(rows: list[dict[str, Any]]) -> Signals:
+    """The signals, taken out of the rows: they fill the memory once."""
+    counts = [len(row["signals"]) for row in rows]
+    first = torch.tensor([0, *counts]).cumsum(0)
+    values = torch.empty((int(first[-1]), *rows[0]["signals"].shape[1:]), dtype=torch.half)
+    for row, begin, count in zip(rows, first, counts, strict=False):
+        values[begin : begin + count] = row.pop("signals")
+    return Signals(values, first)
+
+
+def load_table(rows: list[dict[str, Any]]) -> Collected:
     k = max(len(row["features"]) for row in rows)
     n, width = len(rows), len(FEATURES)
-    features = torch.zeros(n, k, width, dtype=torch.float64)
+    features = torch.full((n, k, width), math.nan, dtype=torch.float64)
     present, right = torch.zeros(n, k, dtype=torch.bool), torch.zeros(n, k, dtype=torch.bool)
     same = torch.zeros(n, k, k, dtype=torch.bool)
     for i, row in enumerate(rows):
         count = len(row["features"])
-        features[i, :count] = row["features"]
+        features[i, :count, : -len(EVIDENCE)] = row["features"][:, : width - len(EVIDENCE)]
         present[i, :count] = True
         same[i, :count, :count] = same_pose(row["T"], row["T"])
         if row["T_true"] is not None:
@@ -156,27 +200,60 @@ def load_table(folder: Path) -> Collected:
     )
 
 
-def fit(args: argparse.Namespace) -> None:
-    table = load_table(args.out)
-    rng = np.random.default_rng(args.seed)
-    held_out = held_out_rows(table.shape, rng)
-    inputs = verdict_inputs(table.features, table.present)
-    # Without the descriptor network, its features can't be measured; the verdict knows that, too.
-    without = torch.from_numpy(rng.random(len(inputs)) < WITHOUT_NETWORK) & ~held_out
-    width = len(FEATURES)
-    columns = [FEATURES.index(name) + part * width for name in AGREEMENT for part in range(3)]
-    for column in columns:
-        inputs[..., column].masked_fill_(without[:, None], torch.nan)
+def loss_of(table: Collected) -> Callable[[Tensor, Tensor], Tensor]:
+    """Minus the mean log probability of what is right: a finalist, or none of them."""
     right = torch.cat([table.right, ~table.right.any(1, keepdim=True)], 1)
 
     def loss(log_p: Tensor, rows: Tensor) -> Tensor:
         return -torch.logsumexp(log_p.masked_fill(~right[rows], -1e9), 1).mean()
 
+    return loss
+
+
+def fit_points(args: argparse.Namespace) -> None:
+    rows = load_rows(args.out)
+    signals, table = load_signals(rows), load_table(rows)
+    known = table.features[..., : -len(EVIDENCE)]
+    network = fit_evidence(
+        signals,
+        verdict_inputs(known, table.present),
+        table.present,
+        held_out_rows(table.shape, np.random.default_rng(args.seed)),
+        loss_of(table),
+        width=args.width,
+        steps=args.evidence_steps,
+        seed=args.seed,
+    )
+    parameters = sum(p.numel() for p in network.parameters())
+    card = EVIDENCE_CARD.format(count=len(rows), parameters=parameters, data=DATA)
+    write_evidence(network, args.weights.with_name("evidence.safetensors"), card=card)
+
+
+def fit(args: argparse.Namespace) -> None:
+    rows = load_rows(args.out)
+    signals, table = load_signals(rows), load_table(rows)
+    network = load_evidence_net()
+    if network is None:
+        raise SystemExit("expected the evidence network's weights; run the step `evidence` first")
+    table.features[..., FEATURES.index(*EVIDENCE)][table.present] = evidence_of_all(
+        network, signals
+    ).double()
+    rng = np.random.default_rng(args.seed)
+    held_out = held_out_rows(table.shape, rng)
+    inputs = verdict_inputs(table.features, table.present)
+    # Without the descriptor network, these features can't be measured; the verdict knows that, too.
+    without = torch.from_numpy(rng.random(len(inputs)) < WITHOUT_NETWORK) & ~held_out
+    width = len(FEATURES)
+    columns = [
+        FEATURES.index(name) + part * width for name in AGREEMENT + EVIDENCE for part in range(3)
+    ]
+    for column in columns:
+        inputs[..., column].masked_fill_(without[:, None], torch.nan)
     weights = fit_logit(
         inputs,
         table.present,
         held_out,
-        loss,
+        loss_of(table),
         hidden=args.hidden,
         steps=args.steps,
         weight_decay=args.weight_decay,
@@ -216,11 +293,16 @@ def report(table: Collected, rows: Tensor, inputs: Tensor, weights: VerdictWeigh
 
 
 def main() -> None:
-    parser = steps_parser(__doc__, "verdict", collected="pairs", count=4000, shard=50, seed=20)
+    steps = {"collect": collect, "evidence": fit_points, "fit": fit}
+    parser = steps_parser(
+        __doc__, "verdict", steps=steps, collected="pairs", count=4000, shard=50, seed=20
+    )
     parser.set_defaults(hidden=64, steps=2000, weight_decay=0.5)
+    parser.add_argument("--width", type=int, default=32, help="of the evidence network")
+    parser.add_argument("--evidence-steps", type=int, default=6000)
     parser.add_argument("--dense", action="store_true", help="clouds of 5,000 points and more")
     args = parser.parse_args()
-    {"collect": collect, "fit": fit}[args.step](args)
+    steps[args.step](args)
 
 
 if __name__ == "__main__":

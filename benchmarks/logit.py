@@ -6,7 +6,7 @@ import argparse
 import dataclasses
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -88,14 +88,21 @@ def write_logit(weights: VerdictWeights, path: Path, *, features: Sequence[str],
 
 
 def steps_parser(
-    doc: str | None, name: str, *, collected: str, count: int, shard: int, seed: int
+    doc: str | None,
+    name: str,
+    *,
+    collected: str,
+    count: int,
+    shard: int,
+    seed: int,
+    steps: Iterable[str] = ("collect", "fit"),
 ) -> argparse.ArgumentParser:
     """The options of a script that collects what it then fits NAME.safetensors to.
 
     `collected` names what is counted, as in "pairs".
     """
     parser = argparse.ArgumentParser(description=(doc or "").split("\n")[0])
-    parser.add_argument("step", choices=["collect", "fit"])
+    parser.add_argument("step", choices=list(steps))
     parser.add_argument("--out", type=Path, default=Path("runs") / name, help="what is collected")
     parser.add_argument("--count", type=int, default=count, help=f"{collected} to collect")
     parser.add_argument("--first", type=int, default=0, help="number of the first")

@@ -26,7 +26,7 @@ SHIPPED = {
 }
 _CREDITS = """# Credits
 
-The weights `gmcnet-*.safetensors` and `verdict.safetensors` were trained or fit on shapes that our
+The weights in this folder were trained or fit on shapes that our
 own generator makes and on meshes of three collections. The meshes are not in this package.
 
 - Gazebo models (osrf/gazebo_models): copyright 2012 Nathan Koenig, CC-BY-3.0.

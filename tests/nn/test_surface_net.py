@@ -13,7 +13,7 @@ from fullturn.features.surface import distances, shell_counts
 from fullturn.geometry import rigid
 from fullturn.geometry.normals import estimate_normals
 from fullturn.geometry.sampling import local_area, point_spacing
-from fullturn.nn import surface
+from fullturn.nn import packaged, surface
 from fullturn.nn.surface import SurfaceNet, load_surface_net
 
 
@@ -137,7 +137,7 @@ def test_weights_of_another_network_are_refused(
 
     folder = tmp_path_factory.mktemp("package")
     (folder / "weights").mkdir()
-    monkeypatch.setattr(surface.resources, "files", lambda package: folder)
+    monkeypatch.setattr(packaged.resources, "files", lambda package: folder)
     load = load_surface_net.__wrapped__
     assert load() is None
     path = folder / "weights" / "descriptor.safetensors"

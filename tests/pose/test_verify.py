@@ -13,8 +13,10 @@ from torch import Tensor
 
 from fullturn.geometry import rigid
 from fullturn.geometry.sampling import local_area
+from fullturn.pose import verify
+from fullturn.pose.contact import Surface, contacts, prepare_surface
 from fullturn.pose.levels import Level, LevelPair
-from fullturn.pose.verify import MEASURED, Surface, agreement, measure, prepare_surface
+from fullturn.pose.verify import MEASURED, agreement, likenesses
 
 H = 0.05
 T_TRUE = random_motions(1, seed=1)[0]
@@ -43,6 +45,10 @@ def surface(
         viewpoint = None if viewpoint is None else rigid.apply(T, viewpoint[None])[0]
     level = Level(points, -normals if reverse else normals, local_area(points))
     return prepare_surface(level, spacing=H, viewpoint=viewpoint)
+
+
+def measure(T: Tensor, source: Surface, target: Surface) -> Tensor:
+    return verify.measure(contacts(T, source, target), spacing=H)
 
 
 def one_side(T: np.ndarray, moving: Surface, fixed: Surface) -> dict[str, float]:
@@ -93,7 +99,7 @@ def one_side(T: np.ndarray, moving: Surface, fixed: Surface) -> dict[str, float]
 def test_every_feature_by_hand(which: int) -> None:
     T = T_TRUE @ perturbations(4, seed=2, angle_deg=3.0 + 8 * which, length=0.02 * which)[which]
     source, target = surface(900, 1), surface(700, 2, T=T_TRUE)
-    found = dict(zip(MEASURED, measure(T[None], source, target, spacing=H)[0], strict=True))
+    found = dict(zip(MEASURED, measure(T[None], source, target)[0], strict=True))
     there = one_side(T.numpy(), source, target)
     back = one_side(np.linalg.inv(T.numpy()), target, source)
     for name, value in there.items():
@@ -123,10 +129,10 @@ def test_every_feature_by_hand(which: int) -> None:
 def test_the_names_are_distinct_and_one_row_comes_per_pose() -> None:
     assert len(set(MEASURED)) == len(MEASURED)
     T = random_motions(7, seed=3)
-    features = measure(T, surface(300, 1), surface(300, 2), spacing=H)
+    features = measure(T, surface(300, 1), surface(300, 2))
     assert features.shape == (7, len(MEASURED))
     assert bool(torch.isfinite(features).all())
-    one = measure(T[4:5], surface(300, 1), surface(300, 2), spacing=H)[0]
+    one = measure(T[4:5], surface(300, 1), surface(300, 2))[0]
     torch.testing.assert_close(features[4], one, atol=1e-9, rtol=0)
 
 
@@ -134,21 +140,20 @@ def test_swapping_the_clouds_changes_nothing() -> None:
     T = T_TRUE @ perturbations(5, seed=4, angle_deg=10.0, length=0.05)
     eyes = (2.0, 1.0, 1.0), (-2.0, -1.5, 0.5)
     source, target = surface(600, 1, eye=eyes[0]), surface(500, 2, T=T_TRUE, eye=eyes[1])
-    there = measure(T, source, target, spacing=H)
-    back = measure(rigid.invert(T), target, source, spacing=H)
+    there = measure(T, source, target)
+    back = measure(rigid.invert(T), target, source)
     torch.testing.assert_close(there, back, atol=1e-6, rtol=0)
 
 
 @pytest.mark.parametrize("reverse", [False, True])
 def test_no_frame_changes_it_and_the_sign_of_normals_one_column(reverse: bool) -> None:
     T = T_TRUE @ perturbations(5, seed=5, angle_deg=10.0, length=0.05)
-    plain = measure(T, surface(600, 1), surface(500, 2, T=T_TRUE), spacing=H)
+    plain = measure(T, surface(600, 1), surface(500, 2, T=T_TRUE))
     g, h = random_motions(2, seed=6)
     moved = measure(
         h @ T @ rigid.invert(g),
         surface(600, 1, T=g, reverse=reverse),
         surface(500, 2, T=h @ T_TRUE),
-        spacing=H,
     )
     if reverse:  # which side of a cloud the normals lie on is all that their sign says
         plain[:, MEASURED.index("same_side")] *= -1
@@ -160,7 +165,7 @@ def test_the_right_pose_fits_better_than_wrong_ones() -> None:
     source = surface(1200, 1, eye=eyes[0], noise=0.005)
     target = surface(1200, 2, T=T_TRUE, eye=eyes[1], noise=0.005)
     wrong = T_TRUE @ perturbations(12, seed=7, angle_deg=60.0, length=0.1)
-    rows = measure(torch.cat([T_TRUE[None], wrong]), source, target, spacing=H)
+    rows = measure(torch.cat([T_TRUE[None], wrong]), source, target)
     column = dict(zip(MEASURED, rows.T, strict=True))
     for name in ("distance_half", "distance_two", "smooth_one", "normals", "split"):
         assert float(column[name][0]) < float(column[name][1:].min()), name
@@ -193,7 +198,7 @@ def test_poses_far_apart_are_finite_and_have_no_overlap() -> None:
     away = torch.eye(4).double()[None].clone()
     away[0, 0, 3] = 20.0
     source, target = surface(200, 1, eye=(2, 1, 1)), surface(200, 2, eye=(2, 1, 1))
-    row = measure(away, source, target, spacing=H)[0]
+    row = measure(away, source, target)[0]
     assert bool(torch.isfinite(row).all())
     assert float(row[MEASURED.index("overlap")]) == 0.0
 
@@ -204,7 +209,7 @@ def test_a_handful_of_points(count: int) -> None:
     level = Level(points, normals, local_area(points))
     few = prepare_surface(level, spacing=H, viewpoint=None)
     assert bool(torch.isfinite(few.smooth).all())
-    assert bool(torch.isfinite(measure(random_motions(2), few, few, spacing=H)).all())
+    assert bool(torch.isfinite(measure(random_motions(2), few, few)).all())
 
 
 def test_agreement_of_descriptors_by_hand() -> None:
@@ -215,8 +220,7 @@ def test_agreement_of_descriptors_by_hand() -> None:
     poses = torch.eye(4).repeat(3, 1, 1)
     poses[1, 0, 3] = 0.1  # one step along: each meets its neighbor
     poses[2, 1, 3] = 5.0  # nothing meets
-    found = agreement(poses, pair, alike)
+    found = agreement(likenesses(poses, pair, alike), spacing=pair.spacing)
     torch.testing.assert_close(
         found, torch.tensor([[0.9, 0.0], [0.0, 0.9], [0.0, 0.0]]), atol=0.05, rtol=0
     )
-    assert bool(agreement(poses, pair, None).isnan().all())

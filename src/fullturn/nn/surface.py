@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from functools import cache
-from importlib import resources
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 from torch.nn import functional
 
-from fullturn.errors import ReadError, one_line
 from fullturn.features.surface import between_ramps, distances, ramps, shell_counts, shell_position
+from fullturn.nn.packaged import load_packaged
 
 
 @dataclass(frozen=True)
@@ -147,22 +145,6 @@ def load_surface_net() -> SurfaceNet | None:
     Raises:
         ReadError: weights of another network.
     """
-    from safetensors import SafetensorError, safe_open
-
-    path = resources.files("fullturn") / "weights" / "descriptor.safetensors"
-    if not path.is_file():
-        return None
-    try:
-        with resources.as_file(path) as file, safe_open(file, framework="pt") as stored:
-            config = SurfaceNetConfig(**json.loads(stored.metadata()["config"]))
-            tensors = {key: stored.get_tensor(key) for key in stored.keys()}  # noqa: SIM118
-        # What is drawn here is overwritten; the caller's generator stays as it was.
-        with torch.random.fork_rng(devices=[]):
-            network = SurfaceNet(config)
-        network.load_state_dict(tensors, strict=True)
-    except (SafetensorError, RuntimeError, KeyError, TypeError, ValueError) as error:
-        raise ReadError(
-            f"expected the weights of this version's descriptor in {path}: {one_line(error)}; "
-            "install fullturn again"
-        ) from error
-    return network.eval()
+    return load_packaged(
+        "descriptor.safetensors", lambda config: SurfaceNet(SurfaceNetConfig(**config))
+    )

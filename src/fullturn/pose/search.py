@@ -15,12 +15,14 @@ from fullturn.geometry import rigid
 from fullturn.geometry.cloud import Cloud
 from fullturn.matching.correspondence import candidate_matches
 from fullturn.pose import hypotheses
+from fullturn.pose.contact import contacts, prepare_surface
+from fullturn.pose.evidence import PointSignals, evidence, point_signals
 from fullturn.pose.grid import NearestGrid
 from fullturn.pose.kabsch import nearest_rotation
 from fullturn.pose.levels import LevelPair, level_pair, thin_pair
 from fullturn.pose.refine import refine_poses
 from fullturn.pose.similarity import Similarity, histogram_similarity, network_similarity
-from fullturn.pose.verify import agreement, measure, prepare_surface
+from fullturn.pose.verify import FEATURES, MEASURED, agreement, likenesses, measure
 
 # How far hypotheses may lie beyond the largest possible rotation, for refinement to bring them
 # back, and refined poses, which have errors, too.
@@ -57,6 +59,7 @@ class Finalists:
 
     T_target_source: Float[Tensor, "k 4 4"]  # float64
     features: Float[Tensor, "k f"]  # columns: `verify.FEATURES`
+    signals: PointSignals | None  # what one of them sums up; None without the descriptor network
     spacing: float  # of the level that they were measured at
     seconds: dict[str, float]
     notes: tuple[str, ...] = ()  # what a user should know of how they were found
@@ -98,13 +101,11 @@ def find_finalists(
         clock.lap("refine")
     if given is not None:
         T = torch.cat([given.to(T), T])
-    features = torch.cat(
-        [_measure_level(fine, source, target, T), agreement(T, coarse, learned)], 1
-    )
+    features, signals = _measured(T, fine, coarse, (source, target), learned)
     clock.lap("verify")
     T = T.double()
     T = rigid.make(nearest_rotation(T[:, :3, :3]), T[:, :3, 3])
-    return Finalists(T, features, fine.spacing, clock.seconds, notes)
+    return Finalists(T, features, signals, fine.spacing, clock.seconds, notes)
 
 
 def coarse_and_fine(
@@ -118,12 +119,27 @@ def coarse_and_fine(
     return level_pair(*thin_pair(*fine, limit=config.coarse_points), support=fine), fine_level
 
 
-def _measure_level(pair: LevelPair, source: Cloud, target: Cloud, T: Tensor) -> Tensor:
+def _measured(
+    T: Tensor,
+    pair: LevelPair,
+    coarse: LevelPair,
+    clouds: tuple[Cloud, Cloud],
+    learned: Tensor | None,
+) -> tuple[Tensor, PointSignals | None]:
+    """The features of poses, and the signals that one of them sums up."""
     surfaces = [
         prepare_surface(level, spacing=pair.spacing, viewpoint=cloud.viewpoint)
-        for level, cloud in ((pair.source, source), (pair.target, target))
+        for level, cloud in zip((pair.source, pair.target), clouds, strict=True)
     ]
-    return measure(T, surfaces[0], surfaces[1], spacing=pair.spacing)
+    met = contacts(T, *surfaces)
+    measured = measure(met, spacing=pair.spacing)
+    if learned is None:
+        rest = measured.new_full((len(T), len(FEATURES) - len(MEASURED)), math.nan)
+        return torch.cat([measured, rest], 1), None
+    sides = likenesses(T, coarse, learned)
+    signals = point_signals(met, sides, pair, coarse)
+    agreed = agreement(sides, spacing=coarse.spacing)
+    return torch.cat([measured, agreed, evidence(signals)], 1), signals
 
 
 def _hypothesize(pair: LevelPair, alike: Tensor, config: SearchConfig, clock: _Clock) -> Tensor:

@@ -6,13 +6,12 @@ import math
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
 from fullturn.geometry import rigid
-from fullturn.geometry.neighbors import NeighborIndex, gather
-from fullturn.pose.levels import Level, LevelPair
-from fullturn.pose.visibility import DepthImage
+from fullturn.pose.contact import NEAR, Contact
+from fullturn.pose.levels import LevelPair
 
 # MEASURED is what `measure` gives for each pose. All are averages of the two directions, then, for
 # the ones in _SIDED, how far the two directions differ. h is the point spacing, d the distance to
@@ -59,118 +58,80 @@ _CONFLICT_REACH = 0.25  # normalized
 _TOGETHER = 2.0  # spacings: keypoints lie farther apart than points
 _RAW = _LOGARITHMIC + _LINEAR
 MEASURED = _RAW + tuple(f"{name}_sides" for name in _SIDED) + _SEEN + _SIDES + _PAIR
-FEATURES = MEASURED + AGREEMENT
+# By the evidence network, from all keypoints together; NaN likewise.
+EVIDENCE = ("evidence",)
+FEATURES = MEASURED + AGREEMENT + EVIDENCE
 
 
-@dataclass(frozen=True, eq=False)
-class Surface:
-    """A cloud prepared for verification."""
-
-    points: Float[Tensor, "n 3"]
-    normals: Float[Tensor, "n 3"]
-    area: Float[Tensor, " n"]  # that each point stands for, 1 on average: all means count it
-    smooth: Float[Tensor, "n 3"]  # moved along the normal into the mean plane of the neighbors
-    interior: Bool[Tensor, " n"]  # False on the rim of a partial cloud
-    index: NeighborIndex
-    image: DepthImage | None  # what the sensor saw, where its place is known
-
-
-def prepare_surface(
-    level: Level, *, spacing: float, viewpoint: Float[Tensor, "3"] | None, neighbors: int = 12
-) -> Surface:
-    """The cloud with its k-d tree, its smoothed points, its rim and its depth image.
-
-    On the rim all neighbors lie on one side: their mean is off by more than 0.35 of their mean
-    distance, along the surface.
-    """
-    points, normals = level.points, level.normals
-    index = NeighborIndex(points)
-    neighbor, _ = index.knn(points, min(neighbors, len(points)))
-    offset = gather(points, neighbor) - points[:, None]
-    height = (offset * normals[:, None]).sum(-1, keepdim=True)
-    along = offset - height * normals[:, None]
-    interior = along.mean(1).norm(dim=-1) < 0.35 * along.norm(dim=-1).mean(1)
-    smooth = points + height.mean(1) * normals
-    image = None
-    if viewpoint is not None:
-        image = DepthImage(points, viewpoint.to(points.dtype), spacing=spacing)
-    return Surface(points, normals, level.area, smooth, interior, index, image)
-
-
-def measure(
-    T_target_source: Float[Tensor, "k 4 4"], source: Surface, target: Surface, *, spacing: float
-) -> Float[Tensor, "k f"]:
+def measure(contacts: tuple[Contact, Contact], *, spacing: float) -> Float[Tensor, "k f"]:
     """One row of `MEASURED` per pose; lengths are normalized (`Cloud`), `spacing` is h."""
-    R, t = T_target_source[:, :3, :3], T_target_source[:, None, :3, 3]
-    there = source.points @ R.mT + t
-    back = (target.points - t) @ R
-    forward = _one_side(
-        there, source.smooth @ R.mT + t, source.normals @ R.mT, source, target, spacing
-    )
-    backward = _one_side(back, (target.smooth - t) @ R, target.normals @ R, target, source, spacing)
+    there, back = contacts
+    forward, backward = (_one_side(contact, spacing) for contact in contacts)
     sided = [_RAW.index(name) for name in _SIDED]
     seen = torch.zeros_like(forward[:, : len(_SEEN)])
-    for image, points in ((target.image, there), (source.image, back)):
+    for contact in contacts:
+        image = contact.other.image
         if image is not None:
-            seen[:, :-1] += image.violations(points) / 2
+            seen[:, :-1] += image.violations(contact.points) / 2
             seen[:, -1] += 0.5
     differences = (forward - backward)[:, sided].abs()
-    of_source, of_target = (
-        (side.area @ side.normals) / side.area.sum() for side in (source, target)
-    )
-    same_side = torch.cosine_similarity(R @ of_source, of_target[None])
-    one_sided = float(of_source.norm() + of_target.norm()) / 2
+    source, target = there.own, back.own
+    of_source = (there.normals.mT @ source.area) / source.area.sum()
+    same_side = torch.cosine_similarity(of_source, target.facing[None])
+    one_sided = float(source.facing.norm() + target.facing.norm()) / 2
     fewest = min(len(source.points), len(target.points))
     pair = seen.new_tensor([one_sided, math.log(fewest)]).expand(len(seen), -1)
     return torch.cat([(forward + backward) / 2, differences, seen, same_side[:, None], pair], 1)
 
 
-def agreement(
-    T_target_source: Float[Tensor, "k 4 4"], pair: LevelPair, alike: Float[Tensor, "n m"] | None
-) -> Float[Tensor, "k 2"]:
-    """Whether keypoints that a pose brings together are alike: the last columns of `FEATURES`.
+@dataclass(frozen=True, eq=False)
+class Likeness:
+    """How alike the keypoints of one cloud are to those that k poses lay them next to."""
 
-    `alike` says how similar any two keypoints are.
-    """
-    k = len(T_target_source)
-    if alike is None:
-        return T_target_source.new_full((k, len(AGREEMENT)), math.nan)
+    distance: Float[Tensor, "k n"]
+    found: Float[Tensor, "k n"]  # similarity to the nearest keypoint of the other cloud
+    most: Float[Tensor, " n"]  # … to the most similar one, wherever it is
+    area: Float[Tensor, " n"]
+
+
+def likenesses(
+    T_target_source: Float[Tensor, "k 4 4"], pair: LevelPair, alike: Float[Tensor, "n m"]
+) -> tuple[Likeness, Likeness]:
+    """Of the source's keypoints and of the target's; `alike` says how similar any two are."""
     source, target = pair.source, pair.target
     moved = rigid.apply(T_target_source, source.points[source.keypoints])
     there = target.points[target.keypoints]
     # |a − b|² − |a|²: exact enough for neighbors, and much faster than the distances.
-    distance_sq = torch.baddbmm(there.square().sum(-1), moved, there.T.expand(k, -1, -1), alpha=-2)
+    distance_sq = torch.baddbmm(
+        there.square().sum(-1), moved, there.T.expand(len(moved), -1, -1), alpha=-2
+    )
     distance_sq += moved.square().sum(-1, keepdim=True)
-    sums = T_target_source.new_zeros(k, 3)
+    sides = []
     for level, dim, similarity in ((source, 2, alike), (target, 1, alike.T)):
         nearest, partner = distance_sq.min(dim)
-        weight = level.area[level.keypoints] * (nearest < (_TOGETHER * pair.spacing) ** 2)
         found = similarity.gather(1, partner.T).T
-        most = similarity.amax(1)
-        sums += torch.stack(
-            [(weight * found).sum(-1), (weight * (most - found)).sum(-1), weight.sum(-1)], -1
-        )
+        area = level.area[level.keypoints]
+        sides.append(Likeness(nearest.clamp_min(0).sqrt(), found, similarity.amax(1), area))
+    return sides[0], sides[1]
+
+
+def agreement(sides: tuple[Likeness, Likeness], *, spacing: float) -> Float[Tensor, "k 2"]:
+    """Whether keypoints that a pose brings together are alike: columns `AGREEMENT`."""
+    sums = torch.zeros(())
+    for side in sides:
+        weight = side.area * (side.distance < _TOGETHER * spacing)
+        parts = (weight * side.found, weight * (side.most - side.found), weight)
+        sums = sums + torch.stack([part.sum(-1) for part in parts], -1)
     return sums[:, :2] / sums[:, 2:].clamp_min(1.0)
 
 
-def _one_side(
-    points: Float[Tensor, "k n 3"],
-    smooth: Float[Tensor, "k n 3"],
-    normals: Float[Tensor, "k n 3"],
-    own: Surface,
-    other: Surface,
-    h: float,
-) -> Float[Tensor, "k f"]:
-    """The raw features of points moved onto the other surface, in the order of `_RAW`."""
-    partner, distance = other.index.nearest(points.reshape(-1, 3))
-    partner, distance = partner.view(points.shape[:2]), distance.view(points.shape[:2])
-    partner_normals = other.normals[partner]
-    height = ((points - other.points[partner]) * partner_normals).sum(-1).abs()
-    smooth_height = ((smooth - other.smooth[partner]) * partner_normals).sum(-1).abs() / h
-    cosine = (normals * partner_normals).sum(-1).abs()
-    d = distance / h
+def _one_side(contact: Contact, h: float) -> Float[Tensor, "k f"]:
+    """The raw features of one cloud laid on the other, in the order of `_RAW`."""
+    own = contact.own
+    height, smooth_height = contact.height.abs(), contact.smooth_height.abs() / h
+    d = contact.distance / h
     weight = own.area / own.area.sum()
-    near = (d < 1.5).to(d.dtype)
+    near = (d < NEAR).to(d.dtype)
     least = 1.0 / len(weight)
     near_total = (near @ weight).clamp_min(least)
 
@@ -185,14 +146,15 @@ def _one_side(
     logarithmic += [near_mean(smooth_height.clamp_max(cap).square()) for cap in (0.15, 0.5, 1.0)]
     # Over the inside, not beyond the rim, and above it rather than beside it: a surface should
     # have been seen there.
-    over_inside = other.interior[partner]
-    hangs = over_inside & (height > 0.5 * distance) & (d > 1.5)
-    near_rim = (d < 1.5) & ~own.interior
+    distance, interior = contact.distance, contact.own.interior
+    over_inside = contact.other.interior[contact.partner]
+    hangs = over_inside & (height > 0.5 * distance) & (d > NEAR)
+    near_rim = (d < NEAR) & ~interior
     linear = [
-        near_mean(1 - cosine),
-        share(d < 1.5),
+        near_mean(1 - contact.cosine.abs()),
+        share(d < NEAR),
         share((d < 1) & (smooth_height < 0.2)),
-        share((d < 1.5) & (smooth_height > 0.5)),
+        share((d < NEAR) & (smooth_height > 0.5)),
         share(hangs & (distance <= 0.05)),
         share(hangs & (distance > 0.05) & (distance <= 0.1)),
         share(hangs & (distance > 0.1) & (distance <= _CONFLICT_REACH)),

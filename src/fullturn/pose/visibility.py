@@ -3,14 +3,25 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 _MAX_PIXELS = 256  # of a side
 _NEAREST = 1e-3  # least depth, normalized
 _WIDEST = 1.0  # tangent of the largest angle off the center of the view: 45°
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """Where points lie in what a sensor saw."""
+
+    behind: Float[Tensor, "k n"]  # depth beyond the surface seen; 0 where none was
+    in_front: Bool[Tensor, "k n"]  # of the surface seen
+    in_nothing: Bool[Tensor, "k n"]  # in front of nothing seen
+    outside: Bool[Tensor, "k n"]  # of the image
 
 
 class DepthImage:
@@ -34,7 +45,7 @@ class DepthImage:
         right = torch.linalg.cross(forward, helper)
         right = right / right.norm().clamp_min(1e-12)
         self._frame = torch.stack([right, torch.linalg.cross(right, forward), forward], -1)
-        self._viewpoint = viewpoint
+        self.viewpoint = viewpoint
         self._margin = 2.0 * spacing
         image, depth = self._project(points)
         front = depth > _NEAREST
@@ -49,23 +60,27 @@ class DepthImage:
         grown = -torch.nn.functional.max_pool2d(-square, 3, 1, 1)
         self._nearest = grown.view(-1)
 
+    def look(self, points: Float[Tensor, "k n 3"]) -> Look:
+        """What the sensor says of each point."""
+        image, depth = self._project(points)
+        cell, inside = self._cell(image, depth)
+        nearest = self._nearest[cell]
+        seen = torch.isfinite(nearest)
+        behind = torch.where(inside & seen, depth - nearest, 0.0)
+        return Look(behind, behind < -self._margin, inside & ~seen, ~inside)
+
     def violations(self, points: Float[Tensor, "k n 3"]) -> Float[Tensor, "k 3"]:
         """Shares of points in front of the surface seen, in front of nothing seen, and outside.
 
         The first two would have been returned by the sensor in place of what it returned. Those
         outside the image would have been seen if the sensor looked there.
         """
-        image, depth = self._project(points)
-        cell, inside = self._cell(image, depth)
-        nearest = self._nearest[cell]
-        seen = torch.isfinite(nearest)
-        in_front = inside & seen & (depth < nearest - self._margin)
-        in_nothing = inside & ~seen
-        shares = [mask.to(points.dtype).mean(-1) for mask in (in_front, in_nothing, ~inside)]
-        return torch.stack(shares, -1)
+        look = self.look(points)
+        masks = (look.in_front, look.in_nothing, look.outside)
+        return torch.stack([mask.to(points.dtype).mean(-1) for mask in masks], -1)
 
     def _project(self, points: Tensor) -> tuple[Tensor, Tensor]:
-        local = (points - self._viewpoint) @ self._frame
+        local = (points - self.viewpoint) @ self._frame
         depth = local[..., 2]
         return local[..., :2] / depth.clamp_min(_NEAREST).unsqueeze(-1), depth
 

@@ -1,0 +1,139 @@
+"""Train the evidence network for `fit_verdict.py`."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import torch
+from safetensors.torch import save_file
+from torch import Tensor, nn
+
+from fullturn.nn.evidence import EvidenceNet, EvidenceNetConfig
+from fullturn.pose.evidence import COMPARED, SIGNALS
+
+BATCH = 128  # pairs
+RATE = 4e-3
+HELD_OUT = 1500  # pairs that are looked at on the way
+_HIDDEN = 64
+_KEPT = 0.7  # share of the points in each step
+_MISSING = 0.1  # share of the other inputs that is not told, in each step
+_AREA = SIGNALS.index("area")
+
+
+@dataclass(frozen=True, eq=False)
+class Signals:
+    """The signals of all poses of all pairs, one after the other."""
+
+    values: Tensor  # (poses, 2, m, s), half precision
+    first: Tensor  # (pairs + 1,): where the poses of a pair begin
+
+    def of(self, rows: Tensor) -> tuple[Tensor, Tensor]:
+        """Those of some pairs, and which of these each pose is of."""
+        parts = [torch.arange(int(self.first[row]), int(self.first[row + 1])) for row in rows]
+        pair = torch.repeat_interleave(torch.arange(len(rows)), torch.tensor(list(map(len, parts))))
+        return self.values[torch.cat(parts)].float(), pair
+
+
+class _Both(nn.Module):
+    """The evidence, and a hidden layer over all else that is known of a pose.
+
+    What is known otherwise takes part, so that the network learns what it adds to that.
+    """
+
+    def __init__(self, network: EvidenceNet, inputs: int) -> None:
+        super().__init__()
+        self.network = network
+        self.known = nn.Sequential(
+            nn.Linear(inputs, _HIDDEN), nn.Tanh(), nn.Linear(_HIDDEN, 1, bias=False)
+        )
+        self.none = nn.Parameter(torch.zeros(()))
+
+    def forward(self, known: Tensor, present: Tensor, signals: Tensor, pair: Tensor) -> Tensor:
+        area = signals[..., _AREA]
+        if self.training:
+            area = area * (torch.rand_like(area) < _KEPT)
+        found = torch.zeros(present.shape)
+        found[present] = self.network(signals, area, pair)
+        score = (self.known(known)[..., 0] + found).masked_fill(~present, -1e9)
+        return torch.log_softmax(torch.cat([score, self.none.expand(len(score), 1)], -1), -1)
+
+
+def fit_evidence(
+    signals: Signals,
+    inputs: Tensor,
+    present: Tensor,
+    held_out: Tensor,
+    loss: Callable[[Tensor, Tensor], Tensor],
+    *,
+    width: int,
+    steps: int,
+    seed: int,
+) -> EvidenceNet:
+    """The network after AdamW on the pairs that are not held out; arguments as `logit.fit_logit`.
+
+    Where it stands after 500 steps is kept beside no file: 5,000 steps take half an hour.
+    """
+    torch.manual_seed(seed)
+    network = EvidenceNet(EvidenceNetConfig(SIGNALS, COMPARED, width))
+    some = signals.values[torch.randperm(len(signals.values))[:3000]].float()
+    some = some[some[..., _AREA] > 0]
+    network.mean.copy_(some.mean(0))
+    network.deviation.copy_(some.std(0) + 1e-3)
+    known = inputs[~held_out][present[~held_out]]
+    mean, deviation = known.nanmean(0), (known - known.nanmean(0)).square().nanmean(0).sqrt() + 1e-6
+    standard = ((inputs - mean) / deviation).clamp(-6, 6).nan_to_num(0.0).float()
+
+    both = _Both(network, inputs.shape[-1])
+    groups = [
+        {"params": [*both.known.parameters(), both.none], "weight_decay": 0.5},
+        {"params": both.network.parameters(), "weight_decay": 0.3},
+    ]
+    optimizer = torch.optim.AdamW(groups, lr=RATE)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps)
+    train, test = torch.nonzero(~held_out)[:, 0], torch.nonzero(held_out)[:HELD_OUT, 0]
+    average = 0.0
+    for step in range(1, steps + 1):
+        rows = train[torch.randint(len(train), (BATCH,))]
+        told = standard[rows]
+        told = told.masked_fill(torch.rand(len(rows), 1, told.shape[-1]) < _MISSING, 0.0)
+        value = loss(both(told, present[rows], *signals.of(rows)), rows)
+        optimizer.zero_grad()
+        value.backward()
+        optimizer.step()
+        schedule.step()
+        average += 0.02 * (value.item() - average)
+        if step % 500 == 0:
+            both.eval()
+            with torch.no_grad():
+                parts = [
+                    loss(both(standard[part], present[part], *signals.of(part)), part) * len(part)
+                    for part in test.split(BATCH)
+                ]
+            both.train()
+            print(
+                f"step {step}: train {average:.3f}, held out {sum(parts) / len(test):.4f}",
+                flush=True,
+            )
+    return network.eval()
+
+
+def evidence_of_all(network: EvidenceNet, signals: Signals) -> Tensor:
+    """(poses,): of every pose of every pair."""
+    found = []
+    with torch.no_grad():
+        for rows in torch.arange(len(signals.first) - 1).split(BATCH):
+            values, pair = signals.of(rows)
+            found.append(network(values, values[..., _AREA], pair))
+    return torch.cat(found)
+
+
+def write_evidence(network: EvidenceNet, path: Path, *, card: str) -> None:
+    """The weights and, beside them, their card."""
+    tensors = {key: value.contiguous() for key, value in network.state_dict().items()}
+    save_file(tensors, path, metadata={"config": json.dumps(asdict(network.config))})
+    path.chmod(0o644)
+    path.with_suffix(".md").write_text(card)
+    print("wrote", path)

@@ -1,0 +1,96 @@
+"""A network over what every keypoint says of a pose."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor, nn
+
+from fullturn.nn.packaged import load_packaged
+
+_LARGEST = 5.0  # standard deviations of a signal; beyond it, nothing was seen in the fit
+
+
+@dataclass(frozen=True)
+class EvidenceNetConfig:
+    """What goes in, and the width."""
+
+    signals: tuple[str, ...]
+    compared: tuple[str, ...]  # signals, of each point, held against its least among the rivals
+    width: int = 32
+
+
+class EvidenceNet(nn.Module):
+    """One number for each pose: how much all points together speak for it.
+
+    1. Each point's signals, and how much larger than under the best rival some of them are, go
+       through a small perceptron.
+    2. Its outputs are averaged over the points of each cloud, by area (as in Qi et al., PointNet,
+       CVPR 2017, with means for maxima).
+    3. A second perceptron over the mean and the difference of both clouds.
+
+    It knows no order of points, poses or clouds.
+    """
+
+    mean: Tensor
+    deviation: Tensor
+
+    def __init__(self, config: EvidenceNetConfig) -> None:
+        super().__init__()
+        self.config = config
+        count, width = len(config.signals), config.width
+        self.register_buffer("mean", torch.zeros(count))
+        self.register_buffer("deviation", torch.ones(count))
+        self._compared = [config.signals.index(name) for name in config.compared]
+        self.point = nn.Sequential(
+            nn.Linear(count + len(config.compared), width),
+            nn.ReLU(),
+            nn.Linear(width, width),
+            nn.ReLU(),
+        )
+        self.pose = nn.Sequential(
+            nn.Linear(2 * width, width), nn.Tanh(), nn.Linear(width, 1, bias=False)
+        )
+
+    def forward(
+        self,
+        signals: Float[Tensor, "k 2 m s"],
+        area: Float[Tensor, "k 2 m"],
+        pair: Int[Tensor, " k"] | None = None,
+    ) -> Float[Tensor, " k"]:
+        """Both clouds' points under each pose; points of no area are not there.
+
+        `pair` says which pair of clouds a pose is of (None: all of one); rivals are of one pair.
+        """
+        compared = signals[..., self._compared].abs()
+        if pair is None:
+            least = compared.amin(0)
+        else:
+            least = compared.new_full((int(pair.max()) + 1, *compared.shape[1:]), torch.inf)
+            at = pair.view(-1, 1, 1, 1).expand_as(compared)
+            least = least.scatter_reduce_(0, at, compared, "amin")[pair]
+        standard = ((signals - self.mean) / self.deviation).clamp(-_LARGEST, _LARGEST)
+        of_point = self.point(torch.cat([standard, compared - least], -1))
+        total = area.sum(-1, keepdim=True).clamp_min(1e-6)
+        pooled = (area.unsqueeze(-2) @ of_point)[..., 0, :] / total
+        source, target = pooled.unbind(1)
+        both = torch.cat([(source + target) / 2, (source - target).abs()], -1)
+        return self.pose(both)[:, 0]
+
+
+@cache
+def load_evidence_net() -> EvidenceNet | None:
+    """The network with the weights in the package, in evaluation mode; None where they are missing.
+
+    Raises:
+        ReadError: weights of another network.
+    """
+    return load_packaged(
+        "evidence.safetensors",
+        lambda config: EvidenceNet(
+            EvidenceNetConfig(tuple(config["signals"]), tuple(config["compared"]), config["width"])
+        ),
+    )
