@@ -19,6 +19,7 @@ from fullturn.fusion.merge import MergedCloud, merge_clouds
 from fullturn.fusion.optimize import gtsam
 from fullturn.fusion.result import FusedEdge, Fusion
 from fullturn.fusion.scans import Scan, check_scans
+from fullturn.fusion.settle import settle_groups
 from fullturn.methods.registry import get
 from fullturn.threads import torch_threads
 from fullturn.workers import check_workers
@@ -81,6 +82,9 @@ def fuse(
     connected = time.perf_counter()
 
     poses, covariance = refine_groups(scans, length, edges, placement)
+    placement, changed = settle_groups(scans, length, edges, placement, poses, config)
+    if changed:
+        poses, covariance = refine_groups(scans, length, edges, placement)
     refined = time.perf_counter()
     worlds, covariances = _denormalized(scans, length, placement, poses, covariance)
     merged = tuple(_merged([scans[s] for s in g], worlds[list(g)]) for g in placement.groups)

@@ -66,16 +66,29 @@ def place_scans(
     With a `start`, its groups stand, as far as nothing speaks against them, and grow.
     """
     config = config or GraphConfig()
-    pool: dict[frozenset[int], list[Edge]] = {}
-    for edge in edges:
-        if len(edge.probability):
-            pool.setdefault(frozenset((edge.target, edge.source)), []).append(edge)
-    graph = _Graph(count, pool, config, start)
+    graph = _Graph(count, _pool(edges), config, start)
     graph.join()
     for _ in range(config.sweeps):
         if not graph.reconsider():
             break
         graph.join()
+    graph.split()
+    return graph.placement(edges)
+
+
+def placement_at(
+    edges: Sequence[Edge],
+    groups: Sequence[Sequence[int]],
+    T_group_scan: np.ndarray,
+    config: GraphConfig,
+) -> Placement:
+    """What the edges say of groups and poses (n, 4, 4) found otherwise; nothing moves.
+
+    What no agreeing edge connects is set apart.
+    """
+    unknown = np.full(len(T_group_scan), np.nan)
+    start = Placement(tuple(map(tuple, groups)), T_group_scan, unknown, ())
+    graph = _Graph(len(T_group_scan), _pool(edges), config, start)
     graph.split()
     return graph.placement(edges)
 
@@ -128,6 +141,15 @@ def agree(one: np.ndarray, other: np.ndarray, at: np.ndarray, config: GraphConfi
     return result
 
 
+def _pool(edges: Sequence[Edge]) -> dict[frozenset[int], list[Edge]]:
+    """The edges that state poses, by the two scans that they connect."""
+    pool: dict[frozenset[int], list[Edge]] = {}
+    for edge in edges:
+        if len(edge.probability):
+            pool.setdefault(frozenset((edge.target, edge.source)), []).append(edge)
+    return pool
+
+
 class _Graph:
     """Scans in groups that grow; each group has a frame, that of one of its scans."""
 
@@ -159,7 +181,7 @@ class _Graph:
         """What the edges of two scans say of T_i_j."""
         return [
             Measurement(
-                edge.T_target_source if edge.target == i else _inverse(edge.T_target_source),
+                edge.T_target_source if edge.target == i else inverse(edge.T_target_source),
                 edge.probability,
                 edge.doubt,
             )
@@ -213,7 +235,7 @@ class _Graph:
         probability = np.full(self.count, np.nan)
         poses = self.poses.copy()
         for group in groups:
-            poses[list(group)] = _inverse(self.poses[[group[0]]]) @ self.poses[list(group)]
+            poses[list(group)] = inverse(self.poses[[group[0]]]) @ self.poses[list(group)]
             for scan in group if len(group) > 1 else ():
                 rest = [s for s in group if s != scan]
                 T, shares, _ = self._relative(rest, [scan], as_new=True)
@@ -298,7 +320,7 @@ class _Graph:
         heard = []
         for i in one:
             for j in sorted(self.neighbors[i].intersection(other)):
-                back = np.eye(4) if as_new else _inverse(self.poses[j][None])[0]
+                back = np.eye(4) if as_new else inverse(self.poses[j])
                 for said in self.between(i, j):
                     T = self.poses[i] @ said.T @ back
                     heard.append(Measurement(T, said.probability, said.doubt))
@@ -310,15 +332,16 @@ class _Graph:
         i, j = edge.target, edge.source
         if self.label[i] != self.label[j] or not len(edge.probability):
             return -1
-        now = _inverse(self.poses[i][None]) @ self.poses[j]
+        now = (inverse(self.poses[i]) @ self.poses[j])[None]
         fits = np.flatnonzero(agree(now, edge.T_target_source, np.zeros(3), self.config)[0])
         return int(fits[0]) if len(fits) else -1
 
 
-def _inverse(T: np.ndarray) -> np.ndarray:
-    """Inverse rigid motions (k, 4, 4)."""
-    result = np.tile(np.eye(4), (len(T), 1, 1))
-    R = T[:, :3, :3].transpose(0, 2, 1)
-    result[:, :3, :3] = R
-    result[:, :3, 3] = -np.einsum("kij,kj->ki", R, T[:, :3, 3])
+def inverse(T: np.ndarray) -> np.ndarray:
+    """Inverse rigid motions (..., 4, 4)."""
+    result = np.zeros_like(T)
+    R = np.swapaxes(T[..., :3, :3], -1, -2)
+    result[..., :3, :3] = R
+    result[..., :3, 3] = -np.einsum("...ij,...j->...i", R, T[..., :3, 3])
+    result[..., 3, 3] = 1.0
     return result
