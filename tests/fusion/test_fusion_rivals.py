@@ -17,7 +17,7 @@ from fullturn.fusion.scans import Scan, check_scans
 from fullturn.fusion.settle import _parts, settle_groups
 from fullturn.fusion.sight import Sights
 from fullturn.geometry.normals import estimate_normals
-from fullturn.pose.visibility import DepthImage
+from fullturn.pose.visibility import DepthImages
 
 HALF_TURN = np.diag([-1.0, -1.0, 1.0, 1.0])
 LOOKS = np.array([[1, 1, 1], [1, -1, 1], [1, 1, -1], [-1, 1, 1], [-1, -1, -1], [-1, -1, 1.0]])
@@ -70,7 +70,7 @@ def test_a_known_sensor_contradicts_what_a_depth_image_contradicts(seed: int) ->
     seen = torch.from_numpy(seen_from(surface(bump=0.5), look)).float()
     eye = torch.from_numpy(4.0 * look / np.linalg.norm(look)).float()
     others = torch.from_numpy(rng.uniform(-1.2, 1.2, size=(5, 400, 3))).float()
-    expected = DepthImage(seen, eye, spacing=0.05).violations(others)[:, :2].sum(-1)
+    expected = DepthImages(seen, eye[None], spacing=0.05).violations(others)[0, :, :2].sum(-1)
     found = Sights(seen, spacing=0.05, viewpoint=eye).contradicted(others)
     assert found.shape == (1, 5)
     torch.testing.assert_close(found[0], expected, atol=0.02, rtol=0.0)

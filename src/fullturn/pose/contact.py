@@ -10,7 +10,7 @@ from torch import Tensor
 
 from fullturn.geometry.neighbors import NeighborIndex, gather
 from fullturn.pose.levels import Level
-from fullturn.pose.visibility import DepthImage
+from fullturn.pose.visibility import DepthImages
 
 NEAR = 1.5  # spacings within which two points are near
 
@@ -26,7 +26,7 @@ class Surface:
     rim: Float[Tensor, " n"]  # how far off the mean of the neighbors is, in their mean distance
     roughness: Float[Tensor, " n"]  # RMS height of the neighbors, in their mean distance
     index: NeighborIndex
-    image: DepthImage | None  # what the sensor saw, where its place is known
+    image: DepthImages | None  # what the one sensor saw, where its place is known
 
     @property
     def interior(self) -> Bool[Tensor, " n"]:
@@ -60,7 +60,7 @@ def prepare_surface(
     smooth = points + height.mean(1) * normals
     image = None
     if viewpoint is not None:
-        image = DepthImage(points, viewpoint.to(points.dtype), spacing=spacing)
+        image = DepthImages(points, viewpoint[None].to(points.dtype), spacing=spacing)
     return Surface(points, normals, level.area, smooth, rim, roughness, index, image)
 
 

@@ -163,11 +163,12 @@ def _sight_signals(
         return [zero] * 6
     points = contact.points[:, rows]
     look = image.look(points)
-    sight = points - image.viewpoint
+    sight = points - image.viewpoints[0]
     sight = sight / sight.norm(dim=-1, keepdim=True).clamp_min(1e-9)
     grazing = (contact.normals[:, rows] * sight).sum(-1)
-    behind = (look.behind / h).clamp(-6, 6) / 2
-    return [behind, look.in_nothing, look.outside, look.in_front, grazing, zero + 1]
+    behind = (look.behind[0] / h).clamp(-6, 6) / 2
+    masks = (look.in_nothing[0], look.outside[0], look.in_front[0])
+    return [behind, *masks, grazing, zero + 1]
 
 
 def _side_signals(contact: Contact, rows: Int[Tensor, " m"]) -> list[Tensor]:

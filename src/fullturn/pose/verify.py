@@ -72,7 +72,7 @@ def measure(contacts: tuple[Contact, Contact], *, spacing: float) -> Float[Tenso
     for contact in contacts:
         image = contact.other.image
         if image is not None:
-            seen[:, :-1] += image.violations(contact.points) / 2
+            seen[:, :-1] += image.violations(contact.points)[0] / 2
             seen[:, -1] += 0.5
     differences = (forward - backward)[:, sided].abs()
     source, target = there.own, back.own

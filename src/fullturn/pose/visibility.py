@@ -1,4 +1,4 @@
-"""What a sensor at a known place must have seen."""
+"""What sensors must have seen from where they stood, or may have stood."""
 
 from __future__ import annotations
 
@@ -6,70 +6,73 @@ import math
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 _MAX_PIXELS = 256  # of a side
 _NEAREST = 1e-3  # least depth, normalized
 _WIDEST = 1.0  # tangent of the largest angle off the center of the view: 45°
+_HIDDEN = 3.0  # spacings behind a point's pixel that count
 
 
 @dataclass(frozen=True, eq=False)
 class Look:
-    """Where points lie in what a sensor saw."""
+    """Where points lie in what was seen from each of v places."""
 
-    behind: Float[Tensor, "k n"]  # depth beyond the surface seen; 0 where none was
-    in_front: Bool[Tensor, "k n"]  # of the surface seen
-    in_nothing: Bool[Tensor, "k n"]  # in front of nothing seen
-    outside: Bool[Tensor, "k n"]  # of the image
+    behind: Float[Tensor, "v *points"]  # depth beyond the surface seen; 0 where none was
+    in_front: Bool[Tensor, "v *points"]  # of the surface seen
+    in_nothing: Bool[Tensor, "v *points"]  # in front of nothing seen
+    outside: Bool[Tensor, "v *points"]  # of the image
 
 
-class DepthImage:
-    """A coarse depth image of a cloud from where its sensor stood.
+class DepthImages:
+    """Coarse depth images of a cloud, one from each of v places of a sensor.
 
     Pixels are 1.5 `spacing` wide at the cloud's distance. A point contradicts what was seen only if
     it lies in front of the nearest depth in its pixel and around it, or where all of them are
-    empty. The image is a disk that ends a quarter of its radius beyond the cloud, and at 45°;
+    empty. An image is a disk that ends a quarter of its radius beyond the cloud, and at 45°;
     outside, where the sensor may not have looked, points are counted apart.
     """
 
     def __init__(
-        self, points: Float[Tensor, "n 3"], viewpoint: Float[Tensor, "3"], *, spacing: float
+        self, points: Float[Tensor, "n 3"], viewpoints: Float[Tensor, "v 3"], *, spacing: float
     ) -> None:
-        forward = points.mean(0) - viewpoint
-        distance = float(forward.norm())
-        if distance < 1e-6:  # a sensor in the middle of the cloud looks everywhere; pick a side
-            forward, distance = points[0] - viewpoint, 1e-6
-        forward = forward / forward.norm().clamp_min(1e-12)
-        helper = torch.eye(3, dtype=points.dtype, device=points.device)[forward.abs().argmin()]
-        right = torch.linalg.cross(forward, helper)
-        right = right / right.norm().clamp_min(1e-12)
+        offset = points.mean(0) - viewpoints
+        distance = offset.norm(dim=-1)
+        # A sensor in the middle of the cloud looks everywhere; pick a side.
+        forward = torch.where(distance[:, None] < 1e-6, points[0] - viewpoints, offset)
+        forward = forward / forward.norm(dim=-1, keepdim=True).clamp_min(1e-12)
+        axes = torch.eye(3, dtype=points.dtype, device=points.device)
+        right = torch.linalg.cross(forward, axes[forward.abs().argmin(-1)])
+        right = right / right.norm(dim=-1, keepdim=True).clamp_min(1e-12)
         self._frame = torch.stack([right, torch.linalg.cross(right, forward), forward], -1)
-        self.viewpoint = viewpoint
-        self._margin = 2.0 * spacing
+        self.viewpoints = viewpoints
+        self._spacing = spacing
         image, depth = self._project(points)
-        front = depth > _NEAREST
-        radius = image[front].norm(dim=-1).amax() if bool(front.any()) else image.new_zeros(())
-        self._radius = min(1.25 * float(radius), _WIDEST)
-        self._pixel = max(1.5 * spacing / distance, 2 * self._radius / _MAX_PIXELS, 1e-9)
-        self._side = int(2 * self._radius / self._pixel) + 1
-        nearest = depth.new_full((self._side * self._side,), math.inf)
+        reach = image.norm(dim=-1).masked_fill(depth <= _NEAREST, 0.0).amax(-1).double()
+        radius = (1.25 * reach).clamp_max(_WIDEST)
+        width = torch.maximum(
+            1.5 * spacing / distance.double().clamp_min(1e-6), 2 * radius / _MAX_PIXELS
+        ).clamp_min(1e-9)
+        self._side = int((2 * radius / width).amax()) + 1
+        self._radius, self._width = (x.to(points)[:, None] for x in (radius, width))
         cell, inside = self._cell(image, depth)
-        nearest.scatter_reduce_(0, cell[inside], depth[inside], "amin")
-        square = nearest.view(1, 1, self._side, self._side)
-        grown = -torch.nn.functional.max_pool2d(-square, 3, 1, 1)
-        self._nearest = grown.view(-1)
+        self._nearest = depth.new_full((len(viewpoints), self._side**2), math.inf)
+        self._nearest.scatter_reduce_(1, cell, depth.masked_fill(~inside, math.inf), "amin")
+        square = self._nearest.view(-1, 1, self._side, self._side)
+        self._grown = -torch.nn.functional.max_pool2d(-square, 3, 1, 1).flatten(1)
 
-    def look(self, points: Float[Tensor, "k n 3"]) -> Look:
-        """What the sensor says of each point."""
-        image, depth = self._project(points)
+    def look(self, points: Float[Tensor, "*points 3"]) -> Look:
+        """What is said of each point from each place."""
+        image, depth = self._project(points.reshape(-1, 3))
         cell, inside = self._cell(image, depth)
-        nearest = self._nearest[cell]
+        nearest = self._grown.gather(1, cell)
         seen = torch.isfinite(nearest)
         behind = torch.where(inside & seen, depth - nearest, 0.0)
-        return Look(behind, behind < -self._margin, inside & ~seen, ~inside)
+        masks = (behind, behind < -2.0 * self._spacing, inside & ~seen, ~inside)
+        return Look(*(mask.view(-1, *points.shape[:-1]) for mask in masks))
 
-    def violations(self, points: Float[Tensor, "k n 3"]) -> Float[Tensor, "k 3"]:
+    def violations(self, points: Float[Tensor, "k n 3"]) -> Float[Tensor, "v k 3"]:
         """Shares of points in front of the surface seen, in front of nothing seen, and outside.
 
         The first two would have been returned by the sensor in place of what it returned. Those
@@ -79,13 +82,22 @@ class DepthImage:
         masks = (look.in_front, look.in_nothing, look.outside)
         return torch.stack([mask.to(points.dtype).mean(-1) for mask in masks], -1)
 
-    def _project(self, points: Tensor) -> tuple[Tensor, Tensor]:
-        local = (points - self.viewpoint) @ self._frame
+    def hidden(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, " v"]:
+        """The share of points that stand behind what was seen."""
+        image, depth = self._project(points)
+        cell, _ = self._cell(image, depth)
+        behind = depth > self._nearest.gather(1, cell) + _HIDDEN * self._spacing
+        return behind.to(points.dtype).mean(-1)
+
+    def _project(
+        self, points: Float[Tensor, "n 3"]
+    ) -> tuple[Float[Tensor, "v n 2"], Float[Tensor, "v n"]]:
+        local = (points - self.viewpoints[:, None]) @ self._frame
         depth = local[..., 2]
         return local[..., :2] / depth.clamp_min(_NEAREST).unsqueeze(-1), depth
 
-    def _cell(self, image: Tensor, depth: Tensor) -> tuple[Tensor, Tensor]:
+    def _cell(self, image: Tensor, depth: Tensor) -> tuple[Int[Tensor, "v n"], Bool[Tensor, "v n"]]:
         inside = (depth > _NEAREST) & (image.norm(dim=-1) <= self._radius)
-        position = ((image + self._radius) / self._pixel).clamp(0, self._side - 1)
-        x, y = position.long().unbind(-1)
+        position = (image + self._radius[..., None]) / self._width[..., None]
+        x, y = position.clamp(0, self._side - 1).long().unbind(-1)
         return (x * self._side + y).masked_fill(~inside, 0), inside
