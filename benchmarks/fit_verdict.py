@@ -185,6 +185,7 @@ def load_table(rows: list[dict[str, Any]]) -> Collected:
     same = torch.zeros(n, k, k, dtype=torch.bool)
     for i, row in enumerate(rows):
         count = len(row["features"])
+        # The evidence is left out: the network that was there then isn't the one that is fit.
         features[i, :count, : -len(EVIDENCE)] = row["features"][:, : width - len(EVIDENCE)]
         present[i, :count] = True
         same[i, :count, :count] = same_pose(row["T"], row["T"])
@@ -297,9 +298,9 @@ def main() -> None:
     parser = steps_parser(
         __doc__, "verdict", steps=steps, collected="pairs", count=4000, shard=50, seed=20
     )
-    parser.set_defaults(hidden=64, steps=2000, weight_decay=0.5)
+    parser.set_defaults(hidden=64, steps=3000, weight_decay=0.5)
     parser.add_argument("--width", type=int, default=32, help="of the evidence network")
-    parser.add_argument("--evidence-steps", type=int, default=6000)
+    parser.add_argument("--evidence-steps", type=int, default=5000)
     parser.add_argument("--dense", action="store_true", help="clouds of 5,000 points and more")
     args = parser.parse_args()
     steps[args.step](args)
