@@ -47,7 +47,7 @@ from fullturn.pose.verdict import (
     same_pose,
     verdict_inputs,
 )
-from fullturn.pose.verify import AGREEMENT, EVIDENCE, FEATURES
+from fullturn.pose.verify import AGREEMENT, EVIDENCE, FEATURES, FINE
 from logit import fit_logit, held_out_rows, steps_parser, write_logit
 
 CARD = """# verdict.safetensors
@@ -241,7 +241,7 @@ def fit(args: argparse.Namespace) -> None:
     ).double()
     rng = np.random.default_rng(args.seed)
     held_out = held_out_rows(table.shape, rng)
-    inputs = verdict_inputs(table.features, table.present)
+    inputs = verdict_inputs(table.features, table.present, fine=FINE)
     # Without the descriptor network, these features can't be measured; the verdict knows that, too.
     without = torch.from_numpy(rng.random(len(inputs)) < WITHOUT_NETWORK) & ~held_out
     width = len(FEATURES)

@@ -18,6 +18,7 @@ from fullturn.normalize import normalized_clouds
 from fullturn.pose.explain import explain, pose_overlap
 from fullturn.pose.search import find_finalists
 from fullturn.pose.verdict import load_weights, log_probabilities, same_pose, verdict_inputs
+from fullturn.pose.verify import FINE
 from fullturn.result import Alternative, Registration, Symmetry
 from fullturn.threads import torch_threads
 
@@ -133,7 +134,8 @@ def _probabilities(source: Cloud, target: Cloud, estimate: Estimate) -> list[flo
     rivals[: len(T)] = True
     features = found.features[rivals]
     # The method's own order stays: its best pose is its answer, whatever the verdict thinks.
-    log_probability = log_probabilities(verdict_inputs(features.double()), load_weights())
+    inputs = verdict_inputs(features.double(), fine=FINE)
+    log_probability = log_probabilities(inputs, load_weights())
     return [float(p) for p in log_probability.exp()[: len(T)]]
 
 

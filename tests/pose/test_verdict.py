@@ -21,8 +21,9 @@ from fullturn.pose.verdict import (
     same_pose,
     verdict_inputs,
 )
+from fullturn.pose.verify import FINE
 
-F = 6  # features of the weights made up here
+F = 9  # features of the weights made up here
 
 
 def weights(seed: int = 0, *, features: int = F) -> VerdictWeights:
@@ -31,10 +32,11 @@ def weights(seed: int = 0, *, features: int = F) -> VerdictWeights:
     def draw(*shape: int) -> Tensor:
         return torch.from_numpy(np.asarray(rng.normal(size=shape)))
 
+    width = 3 * features + 6 * FINE
     return VerdictWeights(
-        mean=draw(3 * features),
-        deviation=draw(3 * features).abs() + 0.5,
-        hidden=draw(3 * features, 4),
+        mean=draw(width),
+        deviation=draw(width).abs() + 0.5,
+        hidden=draw(width, 4),
         hidden_bias=draw(4),
         output=draw(4),
         none=draw(),
@@ -58,11 +60,19 @@ def test_inputs_are_the_features_and_how_far_they_lie_from_the_rivals() -> None:
     torch.testing.assert_close(inputs[:, 2 * F :], features - features.max(0).values)
 
 
+def test_small_differences_of_logarithms_are_given_cut_off() -> None:
+    features = torch.tensor([[1.0, 5.0], [1.02, 9.0], [1.2, 7.0]]).double()
+    cut = verdict_inputs(features, fine=1)[:, 6:].T
+    expected = [[0, 0.02, 0.03], [0, 0.02, 0.1], [0, 0.02, 0.2]]
+    expected += [[-0.03, -0.03, 0], [-0.1, -0.1, 0], [-0.2, -0.18, 0]]
+    torch.testing.assert_close(cut, torch.tensor(expected).double())
+
+
 def test_absent_finalists_are_as_if_they_were_not_there() -> None:
     features = rows(6)
     present = torch.tensor([True, False, True, True, False, True])
-    inputs = verdict_inputs(features, present)
-    alone = verdict_inputs(features[present])
+    inputs = verdict_inputs(features, present, fine=FINE)
+    alone = verdict_inputs(features[present], fine=FINE)
     torch.testing.assert_close(inputs[present], alone)
     log_p = log_probabilities(inputs, weights(), present).exp()
     expected = log_probabilities(alone, weights()).exp()
@@ -71,7 +81,7 @@ def test_absent_finalists_are_as_if_they_were_not_there() -> None:
 
 
 def test_it_is_a_softmax_of_scores_with_none_of_them_last() -> None:
-    w, inputs = weights(), verdict_inputs(rows(4))
+    w, inputs = weights(), verdict_inputs(rows(4), fine=FINE)
     standard = np.clip((inputs.numpy() - w.mean.numpy()) / w.deviation.numpy(), -6, 6)
     score = np.tanh(standard @ w.hidden.numpy() + w.hidden_bias.numpy()) @ w.output.numpy()
     exponent = np.exp(np.append(score, float(w.none)))
@@ -82,13 +92,15 @@ def test_it_is_a_softmax_of_scores_with_none_of_them_last() -> None:
 
 def test_a_batch_equals_the_loop_and_the_order_is_nothing() -> None:
     features = torch.stack([rows(5, seed=seed) for seed in range(3)])
-    batch = log_probabilities(verdict_inputs(features), weights())
+    batch = log_probabilities(verdict_inputs(features, fine=FINE), weights())
     assert batch.shape == (3, 6)
     torch.testing.assert_close(batch.exp().sum(-1), torch.ones(3).double())
     order = torch.tensor([3, 0, 4, 1, 2])
     for one, many in zip(features, batch, strict=True):
-        torch.testing.assert_close(log_probabilities(verdict_inputs(one), weights()), many)
-        mixed = log_probabilities(verdict_inputs(one[order]), weights())
+        torch.testing.assert_close(
+            log_probabilities(verdict_inputs(one, fine=FINE), weights()), many
+        )
+        mixed = log_probabilities(verdict_inputs(one[order], fine=FINE), weights())
         torch.testing.assert_close(mixed[:-1], many[:-1][order])
 
 
@@ -127,7 +139,7 @@ def test_equal_features_get_equal_shares() -> None:
     T = random_motions(4, seed=5)
     judged = judge(T, rows(1).expand(4, F))
     assert judged.probability == pytest.approx([judged.probability[0]] * 4)
-    log_p = log_probabilities(verdict_inputs(rows(1).expand(4, F)), weights())
+    log_p = log_probabilities(verdict_inputs(rows(1).expand(4, F), fine=FINE), weights())
     assert judged.probability[0] == pytest.approx(math.exp(float(log_p[0])))
 
 
@@ -136,7 +148,7 @@ def test_finalists_within_the_tolerance_speak_for_one_pose() -> None:
     near = pose @ rigid.exp_se3(torch.tensor([0.02, 0, 0, 0.01, 0, 0]).double())
     features = rows(3)
     judged = judge(torch.stack([pose, far, near]), features)
-    shares = log_probabilities(verdict_inputs(features), weights()).exp()
+    shares = log_probabilities(verdict_inputs(features, fine=FINE), weights()).exp()
     by_index = dict(zip(judged.index, judged.probability, strict=True))
     assert len(by_index) == 2
     assert by_index[1] == pytest.approx(float(shares[1]))
@@ -155,7 +167,7 @@ def test_the_shipped_weights_fit_the_features() -> None:
     from fullturn.pose.verify import FEATURES
 
     shipped = load_weights()
-    inputs = 3 * len(FEATURES)
+    inputs = 3 * len(FEATURES) + 6 * FINE
     assert shipped.mean.shape == shipped.deviation.shape == (inputs,)
     assert shipped.hidden.shape[0] == inputs
     assert shipped.hidden.shape[1:] == shipped.hidden_bias.shape == shipped.output.shape

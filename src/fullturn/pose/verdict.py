@@ -14,11 +14,12 @@ from torch import Tensor
 
 from fullturn.errors import FullturnError
 from fullturn.geometry import rigid
-from fullturn.pose.verify import FEATURES
+from fullturn.pose.verify import FEATURES, FINE
 
 # What "the same pose" and "right" mean: within 5° and 5 % of the radius, at the source's mean.
 TOLERANCE_RAD = math.radians(5.0)
 TOLERANCE_OFFSET = 0.05
+_STEPS = (0.03, 0.1, 0.3)
 _LARGEST_INPUT = 6.0  # standard deviations; beyond it, nothing was seen in the fit
 
 
@@ -46,16 +47,26 @@ class Judged:
 
 
 def verdict_inputs(
-    features: Float[Tensor, "*batch k f"], present: Bool[Tensor, "*batch k"] | None = None
+    features: Float[Tensor, "*batch k f"],
+    present: Bool[Tensor, "*batch k"] | None = None,
+    *,
+    fine: int = 0,
 ) -> Float[Tensor, "*batch k g"]:
-    """Each finalist's features, and how far each lies from the rivals' lowest and highest value."""
+    """Each finalist's features, and how far each lies from the rivals' lowest and highest value.
+
+    Of the first `fine` features, which are logarithms, these differences are also given cut off at
+    3, 10 and 30 %: among all others, small ones between poses that fit about equally well are lost.
+    """
     lowest = highest = features
     if present is not None:
         absent = ~present.unsqueeze(-1)
         lowest = features.masked_fill(absent, math.inf)
         highest = features.masked_fill(absent, -math.inf)
     from_lowest = features - lowest.amin(-2, keepdim=True)
-    return torch.cat([features, from_lowest, features - highest.amax(-2, keepdim=True)], -1)
+    from_highest = features - highest.amax(-2, keepdim=True)
+    cut = [from_lowest[..., :fine].clamp_max(step) for step in _STEPS]
+    cut += [from_highest[..., :fine].clamp_min(-step) for step in _STEPS]
+    return torch.cat([features, from_lowest, from_highest, *(cut if fine else ())], -1)
 
 
 def log_probabilities(
@@ -92,7 +103,7 @@ def judge(T_target_source: Float[Tensor, "k 4 4"], features: Float[Tensor, "k f"
     pose is listed, those that it speaks for are not listed again.
     """
     weights = load_weights()
-    inputs = verdict_inputs(features.double())
+    inputs = verdict_inputs(features.double(), fine=FINE)
     probability = log_probabilities(inputs, weights).exp()[:-1]
     same = same_pose(T_target_source, T_target_source)
     free = torch.ones(len(same), dtype=torch.bool, device=same.device)

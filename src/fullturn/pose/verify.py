@@ -61,6 +61,7 @@ MEASURED = _RAW + tuple(f"{name}_sides" for name in _SIDED) + _SEEN + _SIDES + _
 # By the evidence network, from all keypoints together; NaN likewise.
 EVIDENCE = ("evidence",)
 FEATURES = MEASURED + AGREEMENT + EVIDENCE
+FINE = len(_LOGARITHMIC)  # so many of them, the first, are logarithms
 
 
 def measure(contacts: tuple[Contact, Contact], *, spacing: float) -> Float[Tensor, "k f"]:
