@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
-from pathlib import Path
+from dataclasses import dataclass
 
 import torch
-from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from fullturn.nn.evidence import EvidenceNet, EvidenceNetConfig
 from fullturn.pose.evidence import COMPARED, SIGNALS
+from fullturn.pose.verdict import log_shares, standardized
+from logit import MISSING, moments
 
 BATCH = 128  # pairs
 RATE = 4e-3
 HELD_OUT = 1500  # pairs that are looked at on the way
 _HIDDEN = 64
 _KEPT = 0.7  # share of the points in each step
-_MISSING = 0.1  # share of the other inputs that is not told, in each step
 _AREA = SIGNALS.index("area")
 
 
@@ -57,8 +55,7 @@ class _Both(nn.Module):
             area = area * (torch.rand_like(area) < _KEPT)
         found = torch.zeros(present.shape)
         found[present] = self.network(signals, area, pair)
-        score = (self.known(known)[..., 0] + found).masked_fill(~present, -1e9)
-        return torch.log_softmax(torch.cat([score, self.none.expand(len(score), 1)], -1), -1)
+        return log_shares(self.known(known)[..., 0] + found, self.none, present)
 
 
 def fit_evidence(
@@ -82,9 +79,7 @@ def fit_evidence(
     some = some[some[..., _AREA] > 0]
     network.mean.copy_(some.mean(0))
     network.deviation.copy_(some.std(0) + 1e-3)
-    known = inputs[~held_out][present[~held_out]]
-    mean, deviation = known.nanmean(0), (known - known.nanmean(0)).square().nanmean(0).sqrt() + 1e-6
-    standard = ((inputs - mean) / deviation).clamp(-6, 6).nan_to_num(0.0).float()
+    standard = standardized(inputs, *moments(inputs, present, held_out)).float()
 
     both = _Both(network, inputs.shape[-1])
     groups = [
@@ -98,7 +93,7 @@ def fit_evidence(
     for step in range(1, steps + 1):
         rows = train[torch.randint(len(train), (BATCH,))]
         told = standard[rows]
-        told = told.masked_fill(torch.rand(len(rows), 1, told.shape[-1]) < _MISSING, 0.0)
+        told = told.masked_fill(torch.rand(len(rows), 1, told.shape[-1]) < MISSING, 0.0)
         value = loss(both(told, present[rows], *signals.of(rows)), rows)
         optimizer.zero_grad()
         value.backward()
@@ -128,12 +123,3 @@ def evidence_of_all(network: EvidenceNet, signals: Signals) -> Tensor:
             values, pair = signals.of(rows)
             found.append(network(values, values[..., _AREA], pair))
     return torch.cat(found)
-
-
-def write_evidence(network: EvidenceNet, path: Path, *, card: str) -> None:
-    """The weights and, beside them, their card."""
-    tensors = {key: value.contiguous() for key, value in network.state_dict().items()}
-    save_file(tensors, path, metadata={"config": json.dumps(asdict(network.config))})
-    path.chmod(0o644)
-    path.with_suffix(".md").write_text(card)
-    print("wrote", path)

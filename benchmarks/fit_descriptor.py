@@ -12,7 +12,6 @@ package. Both go on where they were interrupted.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import time
 from dataclasses import asdict
@@ -23,7 +22,6 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 import torch
-from safetensors.torch import save_file
 from torch import Tensor
 
 from free_shapes import DATA, free_shapes
@@ -34,6 +32,7 @@ from fullturn.features.surface import distances
 from fullturn.nn.surface import SurfaceNet
 from fullturn.normalize import normalized_clouds
 from fullturn.pose.search import coarse_and_fine
+from weights_file import write_weights
 
 LEAST_POINTS = 200
 SAME, OTHER = 1.5, 4.0  # spacings: a partner, and surely none
@@ -238,11 +237,11 @@ def write(
     """The weights and their card."""
     table = scores(network, held_out)
     print(table)
-    tensors = {key: value.contiguous() for key, value in network.state_dict().items()}
-    save_file(tensors, args.weights, metadata={"config": json.dumps(asdict(network.config))})
-    args.weights.chmod(0o644)
-    args.weights.with_suffix(".md").write_text(
-        CARD.format(
+    write_weights(
+        network.state_dict(),
+        args.weights,
+        metadata={"config": asdict(network.config)},
+        card=CARD.format(
             parameters=sum(p.numel() for p in network.parameters()),
             pairs=pairs,
             epochs=args.epochs,
@@ -250,9 +249,8 @@ def write(
             validation=len(held_out),
             data=DATA,
             scores=table,
-        )
+        ),
     )
-    print("wrote", args.weights)
 
 
 def main() -> None:

@@ -36,7 +36,8 @@ from fullturn.locating.verify import FEATURES
 from fullturn.pose.grid import NearestGrid
 from fullturn.pose.verdict import VerdictWeights, log_probabilities, same_pose, verdict_inputs
 from locate_scenes import Scene, scene_of
-from logit import fit_logit, held_out_rows, steps_parser, write_logit
+from logit import fit_logit, held_out_rows, load_rows, steps_parser
+from weights_file import write_weights
 
 CARD = """# locate.safetensors
 
@@ -141,7 +142,7 @@ class Collected:
 
 
 def load_table(folder: Path) -> Collected:
-    rows = [row for f in sorted(folder.glob("*.pt")) for row in torch.load(f, weights_only=False)]
+    rows = load_rows(folder)
     k = max(len(row["features"]) for row in rows)
     n = len(rows)
     features = torch.zeros(n, k, len(FEATURES), dtype=torch.float64)
@@ -191,7 +192,7 @@ def fit(args: argparse.Namespace) -> None:
     scores = report(table, torch.nonzero(held_out)[:, 0], inputs, weights)
     print(scores)
     card = CARD.format(count=len(table.kind), data=DATA, scores=scores)
-    write_logit(weights, args.weights, features=FEATURES, card=card)
+    write_weights(vars(weights), args.weights, metadata={"features": FEATURES}, card=card)
 
 
 def report(table: Collected, rows: Tensor, inputs: Tensor, weights: VerdictWeights) -> str:

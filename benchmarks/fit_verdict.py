@@ -20,7 +20,6 @@ import dataclasses
 import math
 import os
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -29,7 +28,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from evidence_fit import Signals, evidence_of_all, fit_evidence, write_evidence
+from evidence_fit import Signals, evidence_of_all, fit_evidence
 from free_shapes import DATA, free_shapes
 from fullturn.data.mixture import KINDS, mixed_pair
 from fullturn.data.motion import axis_angle_rotation, invert, move, rigid
@@ -48,7 +47,8 @@ from fullturn.pose.verdict import (
     verdict_inputs,
 )
 from fullturn.pose.verify import AGREEMENT, EVIDENCE, FEATURES, FINE
-from logit import fit_logit, held_out_rows, steps_parser, write_logit
+from logit import fit_logit, held_out_rows, load_rows, steps_parser
+from weights_file import write_weights
 
 CARD = """# verdict.safetensors
 
@@ -163,10 +163,6 @@ class Collected:
     shape: np.ndarray
 
 
-def load_rows(folder: Path) -> list[dict[str, Any]]:
-    return [row for f in sorted(folder.glob("*.pt")) for row in torch.load(f, weights_only=False)]
-
-
 def load_signals(rows: list[dict[str, Any]]) -> Signals:
     """The signals, taken out of the rows: they fill the memory once."""
     counts = [len(row["signals"]) for row in rows]
@@ -227,7 +223,12 @@ def fit_points(args: argparse.Namespace) -> None:
     )
     parameters = sum(p.numel() for p in network.parameters())
     card = EVIDENCE_CARD.format(count=len(rows), parameters=parameters, data=DATA)
-    write_evidence(network, args.weights.with_name("evidence.safetensors"), card=card)
+    write_weights(
+        network.state_dict(),
+        args.weights.with_name("evidence.safetensors"),
+        metadata={"config": dataclasses.asdict(network.config)},
+        card=card,
+    )
 
 
 def fit(args: argparse.Namespace) -> None:
@@ -266,7 +267,7 @@ def fit(args: argparse.Namespace) -> None:
     scores = report(table, torch.nonzero(held_out)[:, 0], inputs, weights)
     print(scores)
     card = CARD.format(count=len(table.kind), data=DATA, scores=scores)
-    write_logit(weights, args.weights, features=FEATURES, card=card)
+    write_weights(vars(weights), args.weights, metadata={"features": FEATURES}, card=card)
 
 
 def report(table: Collected, rows: Tensor, inputs: Tensor, weights: VerdictWeights) -> str:

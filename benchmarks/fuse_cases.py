@@ -12,10 +12,9 @@ import trimesh
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from fullturn.data.camera import cameras_around
 from fullturn.data.motion import ball_translation, invert, move, rigid, uniform_rotation
 from fullturn.data.mvp_rg import MvpRgConfig
-from fullturn.data.mvp_views import view_of
+from fullturn.data.mvp_views import cameras_of, view_of
 from fullturn.data.scanner import Scanner
 from fullturn.data.surface import sample_surface
 from fullturn.evaluation.metrics import diameter, rotation_error_deg
@@ -94,15 +93,7 @@ def views_of(mesh: trimesh.Trimesh, rng: np.random.Generator) -> MovedScans | No
     """Some of the views around a mesh in the unit ball; None where too few show enough of it."""
     rules = MvpRgConfig(views=OUT_OF, points=POINTS)
     scanner = Scanner(mesh, sensor=rules.sensor, radius=1.0)
-    cameras = cameras_around(
-        np.zeros(3),
-        1.0,
-        count=rules.views,
-        distance=rules.distance,
-        rng=rng,
-        width=rules.resolution,
-        height=rules.resolution,
-    )
+    cameras = cameras_of(rules, rng)
     looks = (view_of(scanner, cameras[k], rules, rng) for k in rng.permutation(len(cameras)))
     seen = [view for _, view in zip(range(VIEWS), filter(None, looks), strict=False)]
     if len(seen) < VIEWS:

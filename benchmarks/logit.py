@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import dataclasses
-import json
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
-from safetensors.torch import save_file
 from torch import Tensor
 
 from fullturn.pose.verdict import VerdictWeights, log_probabilities
@@ -25,6 +23,18 @@ def held_out_rows(shape: np.ndarray, rng: np.random.Generator) -> Tensor:
     """Which rows show one of the fifth of the shapes that the fit must not see."""
     shapes = np.unique(shape)
     return torch.from_numpy(np.isin(shape, rng.choice(shapes, len(shapes) // 5, replace=False)))
+
+
+def load_rows(folder: Path) -> list[dict[str, Any]]:
+    """All that was collected, in the order of the files' names."""
+    return [row for f in sorted(folder.glob("*.pt")) for row in torch.load(f, weights_only=False)]
+
+
+def moments(inputs: Tensor, present: Tensor, held_out: Tensor) -> tuple[Tensor, Tensor]:
+    """Mean and standard deviation of each input over what is present and not held out."""
+    known = inputs[~held_out][present[~held_out]]
+    mean = known.nanmean(0)
+    return mean, (known - mean).square().nanmean(0).sqrt() + 1e-6
 
 
 def fit_logit(
@@ -43,9 +53,7 @@ def fit_logit(
     `inputs` (n, k, g), NaN where something could not be measured; `present` (n, k). The `loss` is
     the mean over rows, of their log probabilities (m, k + 1) and their numbers (m,).
     """
-    known = inputs[~held_out][present[~held_out]]
-    mean = known.nanmean(0)
-    deviation = (known - mean).square().nanmean(0).sqrt() + 1e-6
+    mean, deviation = moments(inputs, present, held_out)
     generator = torch.Generator().manual_seed(seed)
     width = inputs.shape[-1]
     drawn = torch.randn(width, hidden, generator=generator, dtype=torch.float64)
@@ -76,15 +84,6 @@ def fit_logit(
                 other = loss_of(test, inputs[test])
             print(f"step {step}: train {value.item():.3f}, held out {other.item():.3f}", flush=True)
     return VerdictWeights(mean, deviation, *(p.detach() for p in parameters))
-
-
-def write_logit(weights: VerdictWeights, path: Path, *, features: Sequence[str], card: str) -> None:
-    """The weights and, beside them, their card."""
-    tensors = {key: value.contiguous() for key, value in dataclasses.asdict(weights).items()}
-    save_file(tensors, path, metadata={"features": json.dumps(features)})
-    path.chmod(0o644)
-    path.with_suffix(".md").write_text(card)
-    print("wrote", path)
 
 
 def steps_parser(

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
-
 import pytest
 import torch
 from torch import Tensor
 
-from fullturn.errors import ReadError
-from fullturn.nn import packaged
 from fullturn.nn.evidence import EvidenceNet, EvidenceNetConfig, load_evidence_net
 from fullturn.pose.evidence import COMPARED, SIGNALS
 
@@ -77,22 +73,3 @@ def test_the_weights_in_the_package_fit_the_signals() -> None:
     assert not network.training
     assert network.config.signals == SIGNALS
     assert network.config.compared == COMPARED
-
-
-def test_weights_of_another_network_are_refused(
-    monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory
-) -> None:
-    import json
-
-    from safetensors.torch import save_file
-
-    folder = tmp_path_factory.mktemp("package")
-    (folder / "weights").mkdir()
-    monkeypatch.setattr(packaged.resources, "files", lambda package: folder)
-    load = load_evidence_net.__wrapped__
-    assert load() is None
-    path = folder / "weights" / "evidence.safetensors"
-    config = json.dumps(asdict(CONFIG))
-    save_file({"x": torch.zeros(1)}, path, metadata={"config": config})
-    with pytest.raises(ReadError, match="evidence"):
-        load()

@@ -8,12 +8,11 @@ import torch
 from torch import Tensor
 
 from fullturn.data.shapes import ProceduralShapes
-from fullturn.errors import ReadError
 from fullturn.features.surface import distances, shell_counts
 from fullturn.geometry import rigid
 from fullturn.geometry.normals import estimate_normals
 from fullturn.geometry.sampling import local_area, point_spacing
-from fullturn.nn import packaged, surface
+from fullturn.nn import surface
 from fullturn.nn.surface import SurfaceNet, load_surface_net
 
 
@@ -128,22 +127,3 @@ def test_the_weights_in_the_package() -> None:
     # Trained: the descriptors of one cloud tell its points apart.
     alike = found @ found.T
     assert float(alike.median()) < 0.5
-
-
-def test_weights_of_another_network_are_refused(
-    monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory
-) -> None:
-    from safetensors.torch import save_file
-
-    folder = tmp_path_factory.mktemp("package")
-    (folder / "weights").mkdir()
-    monkeypatch.setattr(packaged.resources, "files", lambda package: folder)
-    load = load_surface_net.__wrapped__
-    assert load() is None
-    path = folder / "weights" / "descriptor.safetensors"
-    save_file({"x": torch.zeros(1)}, path, metadata={"config": "{}"})
-    with pytest.raises(ReadError, match="descriptor"):
-        load()
-    path.write_bytes(b"no weights")
-    with pytest.raises(ReadError, match="descriptor"):
-        load()

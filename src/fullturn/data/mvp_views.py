@@ -30,15 +30,7 @@ class Viewer:
         The second is the first that fits, in random order among those within reach.
         """
         config = self._config
-        cameras = cameras_around(
-            np.zeros(3),
-            1.0,
-            count=config.views,
-            distance=config.distance,
-            rng=self._rng,
-            width=config.resolution,
-            height=config.resolution,
-        )
+        cameras = cameras_of(config, self._rng)
         order = iter(self._rng.permutation(len(cameras)))
         first = next(filter(None, (self._look(cameras[number]) for number in order)), None)
         if first is None:
@@ -58,6 +50,19 @@ class Viewer:
         seen = view_of(self._scanner, camera, self._config, self._rng)
         self.empty += seen is None
         return seen
+
+
+def cameras_of(config: MvpRgConfig, rng: np.random.Generator) -> list[Camera]:
+    """Those around an object in the unit ball."""
+    return cameras_around(
+        np.zeros(3),
+        1.0,
+        count=config.views,
+        distance=config.distance,
+        rng=rng,
+        width=config.resolution,
+        height=config.resolution,
+    )
 
 
 def view_of(

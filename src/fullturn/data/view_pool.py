@@ -7,9 +7,8 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 import trimesh
 
-from fullturn.data.camera import cameras_around
 from fullturn.data.mvp_rg import MvpRgConfig
-from fullturn.data.mvp_views import in_unit_ball, view_of, within_reach
+from fullturn.data.mvp_views import cameras_of, in_unit_ball, view_of, within_reach
 from fullturn.data.overlap import scan_overlap
 from fullturn.data.scanner import Scanner, Seen
 from fullturn.data.shapes import MeshSource
@@ -81,15 +80,7 @@ class _MeshViews:
     def __init__(self, rules: Rules, count: int, seed: tuple[int, ...]) -> None:
         rng = np.random.default_rng([*seed, 0, _CAMERAS])
         self.config = config = rules(rng)
-        cameras = cameras_around(
-            np.zeros(3),
-            1.0,
-            count=config.views,
-            distance=config.distance,
-            rng=rng,
-            width=config.resolution,
-            height=config.resolution,
-        )
+        cameras = cameras_of(config, rng)
         self._seed = seed
         self._cameras = [cameras[number] for number in rng.permutation(len(cameras))[:count]]
         self._seen: dict[int, Seen | None] = {}

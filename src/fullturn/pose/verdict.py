@@ -66,7 +66,7 @@ def verdict_inputs(
     from_highest = features - highest.amax(-2, keepdim=True)
     cut = [from_lowest[..., :fine].clamp_max(step) for step in _STEPS]
     cut += [from_highest[..., :fine].clamp_min(-step) for step in _STEPS]
-    return torch.cat([features, from_lowest, from_highest, *(cut if fine else ())], -1)
+    return torch.cat([features, from_lowest, from_highest, *cut], -1)
 
 
 def log_probabilities(
@@ -75,14 +75,31 @@ def log_probabilities(
     present: Bool[Tensor, "*batch k"] | None = None,
 ) -> Float[Tensor, "*batch k+1"]:
     """Conditional logit (McFadden 1974) over the finalists and, last, "none of them"."""
-    standard = ((inputs - weights.mean) / weights.deviation).clamp(-_LARGEST_INPUT, _LARGEST_INPUT)
-    # What could not be measured says nothing: it stands at its mean.
-    standard = standard.nan_to_num(0.0)
+    standard = standardized(inputs, weights.mean, weights.deviation)
     score = torch.tanh(standard @ weights.hidden + weights.hidden_bias) @ weights.output
+    return log_shares(score, weights.none, present)
+
+
+def standardized(
+    inputs: Float[Tensor, "*batch g"], mean: Float[Tensor, " g"], deviation: Float[Tensor, " g"]
+) -> Float[Tensor, "*batch g"]:
+    """In standard deviations, no more than were seen in the fit.
+
+    What could not be measured (NaN) says nothing: it stands at its mean.
+    """
+    limited = ((inputs - mean) / deviation).clamp(-_LARGEST_INPUT, _LARGEST_INPUT)
+    return limited.nan_to_num(0.0)
+
+
+def log_shares(
+    score: Float[Tensor, "*batch k"],
+    none: Float[Tensor, ""],
+    present: Bool[Tensor, "*batch k"] | None = None,
+) -> Float[Tensor, "*batch k+1"]:
+    """Log softmax of the finalists' scores and, last, that of "none of them"."""
     if present is not None:
         score = score.masked_fill(~present, -1e9)
-    none = weights.none.expand(*score.shape[:-1], 1)
-    return torch.log_softmax(torch.cat([score, none], -1), -1)
+    return torch.log_softmax(torch.cat([score, none.expand(*score.shape[:-1], 1)], -1), -1)
 
 
 def same_pose(
