@@ -137,6 +137,16 @@ def test_pairs_overlap_and_agree_under_the_true_pose(seed: int, thinning: str) -
     assert pair.source.tobytes() == draw().source.tobytes()
 
 
+@pytest.mark.parametrize("least", [0.1, 0.3, 0.5, 0.7])
+def test_pairs_overlap_no_more_than_asked(least: float) -> None:
+    for seed in range(3):
+        pair = scan_pair(
+            demo_object(), rng(seed), points=500, min_overlap=least, max_overlap=least + 0.2
+        )
+        overlap = scan_overlap(move(pair.T_target_source, pair.source), pair.target)
+        assert least - 1e-3 <= overlap <= least + 0.2 + 1e-3
+
+
 @pytest.mark.parametrize(("scale", "shift"), [(1e-3, 0.0), (1e3, 0.0), (1.0, 1e6)])
 def test_pairs_scale_and_move_with_the_object(scale: float, shift: float) -> None:
     mesh = superquadric((1.0, 0.6, 0.3), exponents=(0.5, 0.5))
@@ -187,7 +197,9 @@ def test_overlap_of_equal_and_distant_clouds() -> None:
 
 def test_errors_are_named(unchecked: None) -> None:
     with pytest.raises(InputError, match="lower min_overlap"):
-        scan_pair(box((1, 1, 1)), rng(), points=100, min_overlap=1.1, tries=1)
+        scan_pair(box((1, 1, 1)), rng(), points=100, min_overlap=1.0, tries=1)
+    with pytest.raises(InputError, match=r"at most max_overlap, 0\.3, got 0\.4"):
+        scan_pair(BALL, rng(), min_overlap=0.4, max_overlap=0.3)
     for distance in ((1.0, 2.0), (3.0, 2.0), (2.0, np.inf)):
         with pytest.raises(InputError, match="range above 1 radius"):
             scan_pair(BALL, rng(), distance=distance)

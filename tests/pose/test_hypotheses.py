@@ -13,8 +13,10 @@ from fullturn.geometry import rigid
 from fullturn.matching.correspondence import Matches
 from fullturn.pose.grid import NearestGrid
 from fullturn.pose.hypotheses import (
+    MatchedPoints,
     compatibility,
     distinct,
+    matched_share,
     pose_coordinates,
     score_poses,
     seeded_poses,
@@ -41,11 +43,15 @@ def matched(
     return matches, source, target, source_normals, target_normals, T_true
 
 
-def test_compatibility_by_hand() -> None:
+@pytest.mark.parametrize("max_rotation_rad", [None, 0.7, 3.5])
+def test_compatibility_by_hand(max_rotation_rad: float | None) -> None:
     matches, source, target, source_normals, target_normals, _ = matched(40, wrong=0.5, noise=0.02)
     found = compatibility(
-        matches, source, target, source_normals, target_normals, length_tolerance=0.3
+        MatchedPoints.of(matches, source, target, source_normals, target_normals),
+        length_tolerance=0.3,
+        max_rotation_rad=max_rotation_rad,
     )
+    too_far = 0
     for a, b in np.ndindex(40, 40):
         i, j, k, m = (int(x) for x in (*matches.source[[a, b]], *matches.target[[a, b]]))
         here, there = float((source[i] - source[j]).norm()), float((target[k] - target[m]).norm())
@@ -55,34 +61,44 @@ def test_compatibility_by_hand() -> None:
         expected = max(0.0, 1 - ((here - there) / 0.3) ** 2) * max(0.0, 1 - (angles / 0.4) ** 2)
         if min(here, there) <= 0.3:
             expected = 0.0
+        elif max_rotation_rad is not None:
+            lines = (source[i] - source[j]).double(), (target[k] - target[m]).double()
+            turn = float(torch.acos(torch.cosine_similarity(*lines, dim=0)))
+            too_far += turn > max_rotation_rad and expected > 0.0
+            expected *= turn <= max_rotation_rad
         assert float(found[a, b]) == pytest.approx(expected, abs=1e-9)
+    assert (too_far > 0) == (max_rotation_rad == 0.7)
 
 
 def test_compatibility_is_symmetric_and_no_motion_changes_it() -> None:
     matches, *clouds, T_true = matched(80, wrong=0.6, noise=0.01)
     source, target, source_normals, target_normals = clouds
-    plain = compatibility(matches, *clouds, length_tolerance=0.2)
+    plain = compatibility(MatchedPoints.of(matches, *clouds), length_tolerance=0.2)
     torch.testing.assert_close(plain, plain.mT)
     assert float(plain.min()) >= 0.0
     assert float(plain.max()) <= 1.0
     assert float(plain.diagonal().max()) == 0.0
     g, h = random_motions(2, seed=5, length=3.0)
     moved = compatibility(
-        matches,
-        rigid.apply(g, source),
-        rigid.apply(h, target),
-        -source_normals @ g[:3, :3].mT,
-        target_normals @ h[:3, :3].mT,
+        MatchedPoints.of(
+            matches,
+            rigid.apply(g, source),
+            rigid.apply(h, target),
+            -source_normals @ g[:3, :3].mT,
+            target_normals @ h[:3, :3].mT,
+        ),
         length_tolerance=0.2,
     )
     torch.testing.assert_close(moved, plain, atol=1e-9, rtol=0)
     assert torch.equal(source, clouds[0])
     right = compatibility(
-        Matches(matches.source, matches.source, matches.similarity),
-        source,
-        rigid.apply(T_true, source),
-        source_normals,
-        source_normals @ T_true[:3, :3].mT,
+        MatchedPoints.of(
+            Matches(matches.source, matches.source, matches.similarity),
+            source,
+            rigid.apply(T_true, source),
+            source_normals,
+            source_normals @ T_true[:3, :3].mT,
+        ),
         length_tolerance=0.2,
     )
     far = torch.cdist(source, source) > 0.21
@@ -92,8 +108,9 @@ def test_compatibility_is_symmetric_and_no_motion_changes_it() -> None:
 @pytest.mark.parametrize("wrong", [0.0, 0.5, 0.7])
 def test_seeds_find_the_pose_among_wrong_matches(wrong: float) -> None:
     matches, *clouds, T_true = matched(200, wrong=wrong, noise=0.005, seed=2)
-    agreement = compatibility(matches, *clouds, length_tolerance=0.08)
-    T = seeded_poses(matches, clouds[0], clouds[1], agreement)
+    points = MatchedPoints.of(matches, *clouds)
+    agreement = compatibility(points, length_tolerance=0.08)
+    T = seeded_poses(points, agreement, companions=12)
     assert T.shape == (200, 4, 4)
     R = T[:, :3, :3]
     torch.testing.assert_close(R @ R.mT, torch.eye(3).double().expand_as(R), atol=1e-9, rtol=0)
@@ -109,10 +126,31 @@ def test_seeds_find_the_pose_among_wrong_matches(wrong: float) -> None:
 def test_few_matches_give_finite_poses() -> None:
     for count in (1, 2, 3, 5):
         matches, *clouds, _ = matched(count, wrong=0.0, seed=3)
-        agreement = compatibility(matches, *clouds, length_tolerance=0.05)
-        T = seeded_poses(matches, clouds[0], clouds[1], agreement)
+        points = MatchedPoints.of(matches, *clouds)
+        T = seeded_poses(points, compatibility(points, length_tolerance=0.05), companions=6)
         assert T.shape == (count, 4, 4)
         assert bool(torch.isfinite(T).all())
+
+
+def test_the_share_of_matches_that_a_pose_brings_together() -> None:
+    matches, source, target, source_normals, target_normals, T_true = matched(60, wrong=0.4)
+    # Two matches of every point, one of them with the target's normal against it.
+    twice = Matches(
+        torch.cat([matches.source, matches.source.flip(0)]),
+        torch.cat([matches.target, matches.target]),
+        torch.ones(120).double(),
+    )
+    clouds = (source, target, source_normals, target_normals)
+    T = torch.cat([T_true[None], random_motions(130, seed=4)])
+    share = matched_share(MatchedPoints.of(twice, *clouds), T, truncation=0.4)
+    for pose, found in list(zip(T, share, strict=True))[:20]:
+        best, moved = [0.0] * 60, rigid.apply(pose, source)
+        for i, j in zip(twice.source.tolist(), twice.target.tolist(), strict=True):
+            distance = float((moved[i] - target[j]).norm())
+            cosine = float(pose[:3, :3] @ source_normals[i] @ target_normals[j])
+            best[i] = max(best[i], max(0.0, 1 - (distance / 0.4) ** 2) * max(0.0, cosine))
+        assert float(found) == pytest.approx(np.mean(best), abs=1e-9)
+    assert int(share.argmax()) == 0
 
 
 @pytest.mark.parametrize("count", [5, 300])

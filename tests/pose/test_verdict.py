@@ -18,6 +18,7 @@ from fullturn.pose.verdict import (
     judge,
     load_weights,
     log_probabilities,
+    log_rotation_prior,
     same_pose,
     verdict_inputs,
 )
@@ -154,6 +155,30 @@ def test_finalists_within_the_tolerance_speak_for_one_pose() -> None:
     assert by_index[1] == pytest.approx(float(shares[1]))
     (together,) = (by_index[i] for i in (0, 2) if i in by_index)
     assert together == pytest.approx(float(shares[0] + shares[2]))
+
+
+@pytest.mark.parametrize("limit_deg", [5.0, 60.0, 179.0])
+def test_the_prior_is_a_ratio_of_two_densities(limit_deg: float) -> None:
+    limit = math.radians(limit_deg)
+    angles = torch.linspace(0, limit, 20_001).double()
+    T = torch.eye(4).double().repeat(len(angles), 1, 1)
+    T[:, :3, :3] = rigid.exp_so3(angles[:, None] * torch.tensor([[0.0, 0.6, 0.8]]))
+    of_wrong = (1 - angles.cos()) / (limit - math.sin(limit))
+    of_truth = log_rotation_prior(T, limit).exp() * of_wrong
+    above = angles > 0.11 * limit
+    torch.testing.assert_close(of_truth[above], torch.full_like(of_truth[above], 1 / limit))
+    # What is cut off at small angles is little.
+    assert float(torch.trapezoid(of_truth, angles)) == pytest.approx(1.0, abs=0.08)
+
+
+def test_among_equals_a_known_limit_prefers_the_smaller_turn() -> None:
+    turns = torch.tensor([[1.0, 0, 0], [0, 0.5, 0], [0, 0, 1.2]]).double()
+    T = torch.eye(4).double().repeat(3, 1, 1)
+    T[:, :3, :3] = rigid.exp_so3(turns)
+    features = rows(1).expand(3, F)
+    assert judge(T, features, max_rotation_rad=1.5).index == [1, 0, 2]
+    free = judge(T, features)
+    assert free.probability == pytest.approx([free.probability[0]] * 3)
 
 
 def test_single_precision_features_are_judged_in_double() -> None:

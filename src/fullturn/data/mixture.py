@@ -35,6 +35,8 @@ KINDS = {  # name: share of the pairs
 _UNEVEN = 0.3  # share of the pairs whose clouds are thinned unevenly
 _LEAST_POINTS = 12
 _DISTANCES = (1.5, 5.0)  # of the eyes of scans, in radii
+# Overlaps of scans are drawn evenly: views from random sides mostly overlap by more than half.
+_LEAST_OVERLAPS, _OVERLAP_STEP = (0.1, 0.75), 0.2
 _NEARER = 1.25  # by so much, at most, is one of two eyes nearer or farther than their mean
 
 
@@ -154,7 +156,7 @@ def _draw_even(
     few = int(np.exp(rng.uniform(np.log(12), np.log(400))))
     if kind == "plane":
         protocol = PROTOCOLS["geotransformer/180"]
-        kept_share = float(rng.uniform(0.5, 0.8))
+        kept_share = float(rng.uniform(0.45, 0.8))
         drawn = int(rng.integers(300, 800)) if rng.random() < 0.85 else few
         protocol = dataclasses.replace(
             protocol,
@@ -178,7 +180,7 @@ def _scans(source: MeshSource, index: int, rng: np.random.Generator, points: int
     """Two views by one sensor, from about one distance."""
     nearest, farthest = _DISTANCES
     distance = rng.uniform(nearest, farthest)
-    mesh, overlap = to_unit_ball(source.raw_mesh(index)), rng.uniform(0.1, 0.7)
+    mesh, overlap = to_unit_ball(source.raw_mesh(index)), rng.uniform(*_LEAST_OVERLAPS)
     sensor = random_sensor(rng, distance=distance)
     scan = partial(
         scan_pair,
@@ -190,9 +192,9 @@ def _scans(source: MeshSource, index: int, rng: np.random.Generator, points: int
         thinning="farthest" if rng.random() < 0.5 else "random",
         name=source.name(index),
     )
-    # Lattices and wires seldom overlap much; any two views of them will do.
+    # Some shapes overlap in no such way, lattices and wires never much; any two views will do.
     with suppress(InputError):
-        return scan(min_overlap=overlap)
+        return scan(min_overlap=overlap, max_overlap=overlap + _OVERLAP_STEP)
     return scan(min_overlap=0.0)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
@@ -38,6 +38,7 @@ def scan_pair(
     *,
     points: int = 2048,
     min_overlap: float = 0.3,
+    max_overlap: float = 1.0,
     distance: tuple[float, float] = (2.0, 4.0),
     sensor: Sensor | None = None,
     thinning: Literal["random", "farthest"] = "random",
@@ -48,9 +49,10 @@ def scan_pair(
     """Two views of a mesh from random sides that overlap, each under its own random motion.
 
     Each eye is at a distance out of the range `distance` from the middle of the mesh, in radii of
-    a ball around it. The second is drawn nearer and nearer to the first until `scan_overlap` of the
-    two clouds reaches `min_overlap`. A cloud is a random choice of `points` returns, or farthest
-    points; it has fewer where a view has fewer returns, but at least half as many.
+    a ball around it. The second is drawn from anywhere, then nearer to the first where the two
+    clouds overlap too little, farther from it where too much, until their `scan_overlap` lies
+    between `min_overlap` and `max_overlap`. A cloud is a random choice of `points` returns, or
+    farthest points; it has fewer where a view has fewer returns, but at least half as many.
 
     Raises:
         InputError: no two such views in `tries` tries, a mesh that can't be seen (`Raycaster`), or
@@ -59,6 +61,10 @@ def scan_pair(
     """
     if points < 2 or tries < 1:
         raise InputError(f"expected at least 2 points and 1 try, got {points} and {tries}")
+    if min_overlap > max_overlap:
+        raise InputError(
+            f"min_overlap: expected at most max_overlap, {max_overlap}, got {min_overlap}"
+        )
     if not 1.0 < distance[0] <= distance[1] < math.inf:
         raise InputError(
             "distance: expected a range above 1 radius, so that the eye is outside, got "
@@ -74,41 +80,34 @@ def scan_pair(
         wanted = round(_CHOICE[thinning] * points)
         return scanner.look(camera, wanted=wanted, enough=-(-points // 2), rng=rng)
 
-    for views in _two_views(look, center, rng, tries=tries):
-        clouds = [view.points[:points] for view in views]
-        if scan_overlap(*clouds) < min_overlap:
-            continue
-        if thinning == "farthest":
-            # Only now, for they take longer than all the rest.
-            clouds = [spread(view.points, points) for view in views]
-            if scan_overlap(*clouds) < min_overlap:
-                continue
-        return _moved(clouds, [view.camera for view in views], radius, rng, name)
-    raise InputError(
-        f"expected two views of {points} points that overlap by {min_overlap}, found none in "
-        f"{tries} tries; lower min_overlap"
-    )
-
-
-def _two_views(
-    look: Callable[[np.ndarray], Seen | None],
-    center: Float[np.ndarray, "3"],
-    rng: np.random.Generator,
-    *,
-    tries: int,
-) -> Iterator[tuple[Seen, Seen]]:
-    """A view from a random side, and second ones, nearer and nearer to it."""
     firsts = (look(uniform_direction(rng)) for _ in range(tries))
     first = next((view for view in firsts if view is not None), None)
+    nothing = InputError(
+        f"expected two views of {points} points that overlap by {min_overlap} to {max_overlap}, "
+        f"found none in {tries} tries; lower min_overlap or raise max_overlap"
+    )
     if first is None:
-        return
+        raise nothing
     toward = first.camera.center - center
-    toward /= np.linalg.norm(toward)
-    for attempt in range(tries):
-        widest_deg = 180.0 * (1.0 - attempt / tries)
-        second = look(_turned(toward, rng, max_angle_deg=widest_deg))
-        if second is not None:
-            yield first, second
+    nearest_deg, farthest_deg = 0.0, 180.0
+    for _ in range(tries):
+        angle_deg, direction = _turned(toward, rng, nearest_deg, farthest_deg)
+        second = look(direction)
+        if second is None:
+            continue
+        clouds = [view.points[:points] for view in (first, second)]
+        overlap = scan_overlap(*clouds)
+        if thinning == "farthest" and min_overlap <= overlap <= max_overlap:
+            # Only now, for they take longer than all the rest.
+            clouds = [spread(view.points, points) for view in (first, second)]
+            overlap = scan_overlap(*clouds)
+        if overlap < min_overlap:
+            farthest_deg = angle_deg
+        elif overlap > max_overlap:
+            nearest_deg = angle_deg
+        else:
+            return _moved(clouds, [first.camera, second.camera], radius, rng, name)
+    raise nothing
 
 
 def _moved(
@@ -155,10 +154,14 @@ def _camera(
 
 
 def _turned(
-    direction: Float[np.ndarray, "3"], rng: np.random.Generator, *, max_angle_deg: float
-) -> Float[np.ndarray, "3"]:
-    """A direction at most `max_angle_deg` away, uniform over that cap of the sphere."""
-    cosine = rng.uniform(np.cos(np.deg2rad(max_angle_deg)), 1.0)
-    side = np.cross(direction, uniform_direction(rng))
+    direction: Float[np.ndarray, "3"],
+    rng: np.random.Generator,
+    nearest_deg: float,
+    farthest_deg: float,
+) -> tuple[float, Float[np.ndarray, "3"]]:
+    """An angle between the two, and a direction that far away; uniform over the sphere between."""
+    cosine = rng.uniform(*np.cos(np.deg2rad([farthest_deg, nearest_deg])))
+    along = direction / np.linalg.norm(direction)
+    side = np.cross(along, uniform_direction(rng))
     side /= np.linalg.norm(side)
-    return cosine * direction + np.sqrt(1.0 - cosine**2) * side
+    return math.degrees(math.acos(cosine)), cosine * along + math.sqrt(1.0 - cosine**2) * side

@@ -30,6 +30,7 @@ class LocateConfig:
     matches_per_view: int = 150
     match_limit: int = 1000
     length_tolerance: float = 2.5  # between two matches of one rigid motion
+    companions: int = 12  # of a match, which share its motion
     scored_points: int = 150  # of each side
     refined_points: int = 250
     polished_points: int = 800
@@ -48,15 +49,13 @@ def find_poses(
         part.points, voxel=level.voxel, fine_voxel=model.fine_voxel, spacing=level.spacing
     )
     matches = view_matches(described.descriptors, level, config)
-    agreement = hypotheses.compatibility(
-        matches,
-        level.points,
-        described.points,
-        level.normals,
-        described.normals,
-        length_tolerance=config.length_tolerance * level.spacing,
+    matched = hypotheses.MatchedPoints.of(
+        matches, level.points, described.points, level.normals, described.normals
     )
-    T = hypotheses.seeded_poses(matches, level.points, described.points, agreement)
+    agreement = hypotheses.compatibility(
+        matched, length_tolerance=config.length_tolerance * level.spacing
+    )
+    T = hypotheses.seeded_poses(matched, agreement, companions=config.companions)
     h = level.spacing
     few = _Sampled(part, model, model_grid, config.scored_points)
     kept = hypotheses.distinct(

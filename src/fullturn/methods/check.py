@@ -33,7 +33,8 @@ def run_method(
         InputError: the method returned something else than an estimate.
     """
     told: dict[str, Any] = {}
-    if method.traits.limits_rotation and max_rotation_deg is not None:
+    # 180° is no limit.
+    if method.traits.limits_rotation and max_rotation_deg is not None and max_rotation_deg < 180.0:
         told["max_rotation_rad"] = math.radians(max_rotation_deg)
     return checked_estimate(method.estimate(source, target, rng=rng, **told), method.name)
 

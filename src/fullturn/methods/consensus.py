@@ -75,7 +75,7 @@ class Consensus(Method):
             max_rotation_rad=max_rotation_rad,
         )
         begin = time.perf_counter()
-        judged = judge(found.T_target_source, found.features)
+        judged = judge(found.T_target_source, found.features, max_rotation_rad=max_rotation_rad)
         kept = [
             (index, probability)
             for rank, (index, probability) in enumerate(

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float, Int
@@ -11,47 +13,72 @@ from torch import Tensor
 from fullturn.matching.correspondence import Matches
 from fullturn.pose.grid import NearestGrid
 from fullturn.pose.kabsch import weighted_kabsch
-from fullturn.pose.planes import move_planes, squared_falloff
+from fullturn.pose.planes import move_planes, squared_falloff, turn_planes
 
 # Poses scored at once: their transformed points then stay in the processor's cache.
 _POSES_AT_ONCE = 128
 _COUNTED = 5  # one in so many matches counts for the agreement of two others
 
 
+@dataclass(frozen=True, eq=False)
+class MatchedPoints:
+    """Points, with normals, that candidate matches bring together; row k is match k."""
+
+    source: Float[Tensor, "k 3"]
+    target: Float[Tensor, "k 3"]
+    source_normals: Float[Tensor, "k 3"]
+    target_normals: Float[Tensor, "k 3"]
+    source_index: Int[Tensor, " k"]  # which point of the source a match is of
+
+    @classmethod
+    def of(
+        cls,
+        matches: Matches,
+        source: Float[Tensor, "n 3"],
+        target: Float[Tensor, "m 3"],
+        source_normals: Float[Tensor, "n 3"],
+        target_normals: Float[Tensor, "m 3"],
+    ) -> MatchedPoints:
+        return cls(
+            source[matches.source],
+            target[matches.target],
+            source_normals[matches.source],
+            target_normals[matches.target],
+            matches.source,
+        )
+
+
 def compatibility(
-    matches: Matches,
-    source: Float[Tensor, "n 3"],
-    target: Float[Tensor, "m 3"],
-    source_normals: Float[Tensor, "n 3"],
-    target_normals: Float[Tensor, "m 3"],
+    matched: MatchedPoints,
     *,
     length_tolerance: float,
     angle_tolerance: float = 0.4,
+    max_rotation_rad: float | None = None,
 ) -> Float[Tensor, "k k"]:
     """How well any two matches agree on one rigid motion, in [0, 1].
 
     A rigid motion keeps the distance of two points and the angle of their normals (up to sign).
     Agreement falls off as 1 − (difference/tolerance)², `angle_tolerance` being in |cosine|. Two
-    matches closer together than `length_tolerance` say nothing about rotation and get 0.
+    matches closer together than `length_tolerance` say nothing about rotation and get 0, and so do
+    two whose motion turns the line between them by more than `max_rotation_rad`.
     """
-    at, to = source[matches.source], target[matches.target]
-    at_normals, to_normals = source_normals[matches.source], target_normals[matches.target]
+    at, to = matched.source, matched.target
     source_length, target_length = torch.cdist(at, at), torch.cdist(to, to)
-    apart = torch.minimum(source_length, target_length) > length_tolerance
+    allowed = torch.minimum(source_length, target_length) > length_tolerance
+    if max_rotation_rad is not None:
+        products = at @ to.T
+        own = products.diagonal()
+        cosine = (own[:, None] + own - products - products.T).div_(source_length * target_length)
+        allowed &= cosine >= math.cos(min(max_rotation_rad, math.pi))
     agreement = _falloff(source_length - target_length, length_tolerance)
-    source_cosine = (at_normals @ at_normals.T).abs_()
-    target_cosine = (to_normals @ to_normals.T).abs_()
+    source_cosine = (matched.source_normals @ matched.source_normals.T).abs_()
+    target_cosine = (matched.target_normals @ matched.target_normals.T).abs_()
     agreement *= _falloff(source_cosine - target_cosine, angle_tolerance)
-    return agreement * apart
+    return agreement * allowed
 
 
 def seeded_poses(
-    matches: Matches,
-    source: Float[Tensor, "n 3"],
-    target: Float[Tensor, "m 3"],
-    agreement: Float[Tensor, "k k"],
-    *,
-    companions: int = 12,
+    matched: MatchedPoints, agreement: Float[Tensor, "k k"], *, companions: int
 ) -> Float[Tensor, "k 4 4"]:
     """One pose per match: the best rigid motion of the match and the companions it has most with.
 
@@ -60,7 +87,7 @@ def seeded_poses(
     consistent sets even where most matches are wrong and several modes exist side by side. One
     match in five is counted: it finds as much.
     """
-    count = len(matches.source)
+    count = len(matched.source)
     compatible = (agreement > 0.3).to(agreement.dtype)
     second_order = agreement * (compatible[:, ::_COUNTED] @ compatible[::_COUNTED])
     weight, companion = second_order.topk(min(companions, count), dim=1)
@@ -68,8 +95,30 @@ def seeded_poses(
     members = torch.cat([seed, companion], 1)
     weights = torch.cat([weight[:, :1], weight], 1)
     return weighted_kabsch(
-        source[matches.source[members]], target[matches.target[members]], weights.clamp_min(1e-6)
+        matched.source[members], matched.target[members], weights.clamp_min(1e-6)
     )
+
+
+def matched_share(
+    matched: MatchedPoints, T_target_source: Float[Tensor, "k 4 4"], *, truncation: float
+) -> Float[Tensor, " k"]:
+    """How many source points a pose brings to a match of theirs, as a share of those that have one.
+
+    One counts (1 − d²/truncation²) times the cosine of the normals, by the best of its matches.
+    """
+    source, source_normals = matched.source.T.contiguous(), matched.source_normals.T.contiguous()
+    target, target_normals = matched.target.T[:, None], matched.target_normals.T[:, None]
+    points, row = matched.source_index.unique(return_inverse=True)
+    shares = []
+    for part in T_target_source.split(_POSES_AT_ONCE):
+        difference = move_planes(part, source).sub_(target)
+        near = squared_falloff(difference.square_().sum(0), truncation)
+        turned = turn_planes(part[:, :3, :3], source_normals)
+        near *= turned.mul_(target_normals).sum(0).clamp_min_(0)
+        best = near.new_zeros(len(part), len(points))
+        best.scatter_reduce_(1, row.expand(len(part), -1), near, "amax")
+        shares.append(best.mean(1))
+    return torch.cat(shares)
 
 
 def score_poses(

@@ -33,6 +33,7 @@ LIMIT_EDGE_RAD = math.radians(3.0)
 # So many points of a cloud are enough to tell a thousand poses apart, and to draw the best of them
 # to where they belong.
 _SCORED_POINTS, _REFINED_POINTS = 100, 200
+_LITTLE_OVERLAP = 0.05  # keeps the merit of poses that hardly overlap finite
 
 
 @dataclass(frozen=True)
@@ -42,13 +43,19 @@ class SearchConfig:
     coarse_points: int = 800  # per cloud, for descriptors and hypotheses
     verify_points: int = 2048  # per cloud, for the last refinement and the verdict
     length_tolerance: float = 2.5  # between two matches of one rigid motion
-    modes: int = 64  # distinct poses refined on the coarse level
+    companions: int = 6  # of a match, which share its motion
     mode_radius: float = 2.0  # RMS displacement that makes two poses distinct
-    finalists: int = 32  # distinct poses measured for the verdict
-    # Share of the best pose's score below which a pose is dropped: after the first refinement, and
-    # before the verdict. On pairs of every kind, no winner of the verdict lay below either.
-    mode_share: float = 0.5
-    finalist_share: float = 0.6
+    # Distinct poses that are refined on the coarse level: those that overlap most, and those that
+    # bring most matches together for their overlap. Each finds what the other one misses.
+    modes: int = 32
+    matched_modes: int = 32
+    # … and of these, in the same two ways, those that are measured for the verdict.
+    finalists: int = 20
+    matched_finalists: int = 12
+    # Share of the best pose's overlap below which a pose is dropped: of those chosen by it after
+    # the first refinement, and of all before the verdict.
+    mode_share: float = 0.4
+    finalist_share: float = 0.5
     # What finds matches: the descriptor network, or handcrafted histograms.
     descriptor: Literal["network", "histogram"] = "network"
 
@@ -91,10 +98,11 @@ def find_finalists(
     if alike is None:
         alike = histogram_similarity(coarse) if learned is None else learned
     clock.lap("describe")
-    T = _hypothesize(coarse, alike, config, clock)
-    T = _within(T, max_rotation_rad, slack_rad=_LIMIT_SLACK_RAD)
-    grids = _grids(coarse, band=3 * coarse.spacing)
-    T = _refine_on_grids(coarse, grids, T, config, clock)
+    matched = _matched(coarse, alike)
+    clock.lap("match")
+    T = _hypothesize(matched, config, spacing=coarse.spacing, max_rotation_rad=max_rotation_rad)
+    clock.lap("hypothesize")
+    T = _refine_on_grids(coarse, matched, T, config, clock)
     T = _within(T, max_rotation_rad, slack_rad=LIMIT_EDGE_RAD)
     if fine is not coarse:
         T = _within(_polish(fine, T), max_rotation_rad, slack_rad=LIMIT_EDGE_RAD)
@@ -142,24 +150,30 @@ def _measured(
     return torch.cat([measured, agreed, evidence(signals)], 1), signals
 
 
-def _hypothesize(pair: LevelPair, alike: Tensor, config: SearchConfig, clock: _Clock) -> Tensor:
-    matches = candidate_matches(alike)
+def _matched(pair: LevelPair, alike: Tensor) -> hypotheses.MatchedPoints:
     (source, source_normals), (target, target_normals) = (
         (level.points[level.keypoints], level.normals[level.keypoints])
         for level in (pair.source, pair.target)
     )
-    agreement = hypotheses.compatibility(
-        matches,
-        source,
-        target,
-        source_normals,
-        target_normals,
-        length_tolerance=config.length_tolerance * pair.spacing,
+    return hypotheses.MatchedPoints.of(
+        candidate_matches(alike), source, target, source_normals, target_normals
     )
-    clock.lap("match")
-    T = hypotheses.seeded_poses(matches, source, target, agreement)
-    clock.lap("hypothesize")
-    return T
+
+
+def _hypothesize(
+    matched: hypotheses.MatchedPoints,
+    config: SearchConfig,
+    *,
+    spacing: float,
+    max_rotation_rad: float | None,
+) -> Tensor:
+    agreement = hypotheses.compatibility(
+        matched,
+        length_tolerance=config.length_tolerance * spacing,
+        max_rotation_rad=None if max_rotation_rad is None else max_rotation_rad + LIMIT_EDGE_RAD,
+    )
+    T = hypotheses.seeded_poses(matched, agreement, companions=config.companions)
+    return _within(T, max_rotation_rad, slack_rad=_LIMIT_SLACK_RAD)
 
 
 def _within(T: Tensor, max_rotation_rad: float | None, *, slack_rad: float) -> Tensor:
@@ -179,38 +193,67 @@ def _within(T: Tensor, max_rotation_rad: float | None, *, slack_rad: float) -> T
 
 
 def _refine_on_grids(
-    pair: LevelPair, grids: list[NearestGrid], T: Tensor, config: SearchConfig, clock: _Clock
+    pair: LevelPair,
+    matched: hypotheses.MatchedPoints,
+    T: Tensor,
+    config: SearchConfig,
+    clock: _Clock,
 ) -> Tensor:
     h, source, target = pair.spacing, pair.source.points, pair.target.points
+    grids = _grids(pair, band=3 * h)
     some = _one_in(source, about=_SCORED_POINTS)
-    scores = hypotheses.score_poses(
+    overlap = hypotheses.score_poses(
         source[some], pair.source.area[some], grids[1], T, truncation=2 * h
     )
-    coordinates = hypotheses.pose_coordinates(T, source)
-    kept = hypotheses.distinct(
-        coordinates, scores, radius=config.mode_radius * h, limit=config.modes
-    )
+    limits = (config.modes, config.matched_modes)
+    T = T[_two_choices(pair, matched, T, overlap, radius=config.mode_radius * h, limits=limits)]
     clock.lap("score")
     T = refine_poses(
-        T[kept],
+        T,
         source[_one_in(source, about=_REFINED_POINTS)],
         target[_one_in(target, about=_REFINED_POINTS)],
         *grids,
         scales=(3 * h,) * 3 + (2.5 * h,) * 3 + (2 * h,) * 3,
     )
-    both = _two_sided(pair, grids, T, truncation=1.5 * h)
+    overlap = _two_sided(pair, grids, T, truncation=1.5 * h)
+    limits = (config.finalists, config.matched_finalists)
+    T = T[
+        _two_choices(
+            pair, matched, T, overlap, radius=h, limits=limits, least_share=config.mode_share
+        )
+    ]
+    T = refine_poses(T, source, target, *grids, scales=(1.5 * h,) * 3 + (1.2 * h,) * 4)
+    overlap = _two_sided(pair, grids, T, truncation=h)
     kept = hypotheses.distinct(
-        hypotheses.pose_coordinates(T, source), both, radius=h, limit=config.finalists
+        hypotheses.pose_coordinates(T, source), overlap, radius=0.2 * h, limit=len(T)
     )
-    kept = kept[both[kept] >= config.mode_share * both.amax()]
-    T = refine_poses(T[kept], source, target, *grids, scales=(1.5 * h,) * 3 + (1.2 * h,) * 4)
-    both = _two_sided(pair, grids, T, truncation=h)
-    kept = hypotheses.distinct(
-        hypotheses.pose_coordinates(T, source), both, radius=0.2 * h, limit=config.finalists
-    )
-    T = T[kept[both[kept] >= config.finalist_share * both.amax()]]
+    T = T[kept[overlap[kept] >= config.finalist_share * overlap.amax()]]
     clock.lap("refine")
     return T
+
+
+def _two_choices(
+    pair: LevelPair,
+    matched: hypotheses.MatchedPoints,
+    T: Tensor,
+    overlap: Tensor,
+    *,
+    radius: float,
+    limits: tuple[int, int],
+    least_share: float = 0.0,
+) -> Tensor:
+    """Rows of distinct poses: those of most overlap, and those that match best for their overlap.
+
+    Where clouds overlap little, wrong poses overlap more than the right one; that matches lie on
+    one another by chance grows with the overlap, too.
+    """
+    coordinates = hypotheses.pose_coordinates(T, pair.source.points)
+    most = hypotheses.distinct(coordinates, overlap, radius=radius, limit=limits[0])
+    most = most[overlap[most] >= least_share * overlap.amax()]
+    share = hypotheses.matched_share(matched, T, truncation=2 * pair.spacing)
+    merit = share / (overlap + _LITTLE_OVERLAP).sqrt()
+    matching = hypotheses.distinct(coordinates, merit, radius=radius, limit=limits[1])
+    return torch.cat([most, matching]).unique()
 
 
 def _one_in(points: Tensor, *, about: int) -> slice:
@@ -241,7 +284,7 @@ def _two_sided(
     back = hypotheses.score_poses(
         target.points, target.area, grids[0], rigid.invert(T), truncation=truncation
     )
-    return forward + back
+    return (forward + back) / 2
 
 
 class _Clock:

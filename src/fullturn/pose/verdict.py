@@ -20,6 +20,7 @@ from fullturn.pose.verify import FEATURES, FINE
 TOLERANCE_RAD = math.radians(5.0)
 TOLERANCE_OFFSET = 0.05
 _STEPS = (0.03, 0.1, 0.3)
+_SMALL_TURN = 0.1  # of the limit
 _LARGEST_INPUT = 6.0  # standard deviations; beyond it, nothing was seen in the fit
 
 
@@ -113,15 +114,38 @@ def same_pose(
     )
 
 
-def judge(T_target_source: Float[Tensor, "k 4 4"], features: Float[Tensor, "k f"]) -> Judged:
+def log_rotation_prior(
+    T_target_source: Float[Tensor, "k 4 4"], max_rotation_rad: float
+) -> Float[Tensor, " k"]:
+    """What a known limit L of the rotation says of a pose that turns by θ.
+
+    Of the truth, every angle up to L is expected alike. A wrong pose turns by any rotation within
+    L, which are more the larger they are: its angle has the density (1 − cos θ)/(L − sin L).
+    This is the logarithm of the ratio; angles below L/10 count as that.
+    """
+    L = max_rotation_rad
+    angle = rigid.rotation_angle_rad(T_target_source[:, :3, :3]).clamp_min(_SMALL_TURN * L)
+    return math.log((L - math.sin(L)) / L) - torch.log1p(-angle.cos())
+
+
+def judge(
+    T_target_source: Float[Tensor, "k 4 4"],
+    features: Float[Tensor, "k f"],
+    *,
+    max_rotation_rad: float | None = None,
+) -> Judged:
     """Rank the finalists by the probability that the truth lies within the tolerance of each.
 
     That probability is the sum over the finalists within the tolerance. Taken greedily: once a
-    pose is listed, those that it speaks for are not listed again.
+    pose is listed, those that it speaks for are not listed again. `max_rotation_rad`: the largest
+    rotation that is possible, where somebody knows one.
     """
     weights = load_weights()
     inputs = verdict_inputs(features.double(), fine=FINE)
-    probability = log_probabilities(inputs, weights).exp()[:-1]
+    log_p = log_probabilities(inputs, weights)
+    if max_rotation_rad is not None:
+        log_p[:-1] += log_rotation_prior(T_target_source.to(log_p), max_rotation_rad)
+    probability = log_p.softmax(-1)[:-1]
     same = same_pose(T_target_source, T_target_source)
     free = torch.ones(len(same), dtype=torch.bool, device=same.device)
     index, listed = [], []
