@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -23,16 +26,32 @@ _AREA = SIGNALS.index("area")
 
 @dataclass(frozen=True, eq=False)
 class Signals:
-    """The signals of all poses of all pairs, one after the other."""
+    """The signals of all poses of all pairs, one after the other, on disk."""
 
-    values: Tensor  # (poses, 2, m, s), half precision
-    first: Tensor  # (pairs + 1,): where the poses of a pair begin
+    values: np.ndarray  # (poses, 2, m, s), half precision
+    first: np.ndarray  # (pairs + 1,): where the poses of a pair begin
 
     def of(self, rows: Tensor) -> tuple[Tensor, Tensor]:
         """Those of some pairs, and which of these each pose is of."""
-        parts = [torch.arange(int(self.first[row]), int(self.first[row + 1])) for row in rows]
+        parts = [self.values[self.first[row] : self.first[row + 1]] for row in rows.tolist()]
         pair = torch.repeat_interleave(torch.arange(len(rows)), torch.tensor(list(map(len, parts))))
-        return self.values[torch.cat(parts)].float(), pair
+        return torch.from_numpy(np.concatenate(parts)).float(), pair
+
+
+def split_signals(
+    rows: Iterable[dict[str, Any]], file: Path
+) -> tuple[list[dict[str, Any]], Signals]:
+    """The rows without their signals, and these in a file, for they outgrow the memory."""
+    kept, counts = [], [0]
+    with file.open("wb") as stream:
+        for row in rows:
+            values = row.pop("signals").numpy()
+            stream.write(values.tobytes())
+            counts.append(len(values))
+            kept.append(row)
+    first = np.cumsum(counts)
+    shape = (int(first[-1]), *values.shape[1:])
+    return kept, Signals(np.memmap(file, np.float16, "r", shape=shape), first)
 
 
 class _Both(nn.Module):
@@ -68,14 +87,15 @@ def fit_evidence(
     width: int,
     steps: int,
     seed: int,
+    checkpoint: Path,
 ) -> EvidenceNet:
     """The network after AdamW on the pairs that are not held out; arguments as `logit.fit_logit`.
 
-    Not resumable: 5,000 steps take nine minutes of two cores.
+    It goes on from the `checkpoint`, where there is one.
     """
     torch.manual_seed(seed)
     network = EvidenceNet(EvidenceNetConfig(SIGNALS, COMPARED, width))
-    some = signals.values[torch.randperm(len(signals.values))[:3000]].float()
+    some, _ = signals.of(torch.randperm(len(present))[:200])
     some = some[some[..., _AREA] > 0]
     network.mean.copy_(some.mean(0))
     network.deviation.copy_(some.std(0) + 1e-3)
@@ -89,8 +109,16 @@ def fit_evidence(
     optimizer = torch.optim.AdamW(groups, lr=RATE)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps)
     train, test = torch.nonzero(~held_out)[:, 0], torch.nonzero(held_out)[:HELD_OUT, 0]
+    parts: dict[str, Any] = {"both": both, "optimizer": optimizer, "schedule": schedule}
+    done = 0
+    if checkpoint.exists():
+        state = torch.load(checkpoint)
+        for name, part in parts.items():
+            part.load_state_dict(state[name])
+        torch.set_rng_state(state["random"])
+        done = state["step"]
     average = 0.0
-    for step in range(1, steps + 1):
+    for step in range(done + 1, steps + 1):
         rows = train[torch.randint(len(train), (BATCH,))]
         told = standard[rows]
         told = told.masked_fill(torch.rand(len(rows), 1, told.shape[-1]) < MISSING, 0.0)
@@ -103,15 +131,15 @@ def fit_evidence(
         if step % 500 == 0:
             both.eval()
             with torch.no_grad():
-                parts = [
-                    loss(both(standard[part], present[part], *signals.of(part)), part) * len(part)
-                    for part in test.split(BATCH)
+                losses = [
+                    loss(both(standard[some], present[some], *signals.of(some)), some) * len(some)
+                    for some in test.split(BATCH)
                 ]
             both.train()
-            print(
-                f"step {step}: train {average:.3f}, held out {sum(parts) / len(test):.4f}",
-                flush=True,
-            )
+            held = sum(losses) / len(test)
+            print(f"step {step}: train {average:.3f}, held out {held:.4f}", flush=True)
+            state = {name: part.state_dict() for name, part in parts.items()}
+            torch.save({**state, "random": torch.get_rng_state(), "step": step}, checkpoint)
     return network.eval()
 
 

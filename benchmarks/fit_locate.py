@@ -36,7 +36,7 @@ from fullturn.locating.verify import FEATURES
 from fullturn.pose.grid import NearestGrid
 from fullturn.pose.verdict import VerdictWeights, log_probabilities, same_pose, verdict_inputs
 from locate_scenes import Scene, scene_of
-from logit import fit_logit, held_out_rows, load_rows, steps_parser
+from logit import fit_logit, held_out_rows, read_rows, steps_parser
 from weights_file import write_weights
 
 CARD = """# locate.safetensors
@@ -142,7 +142,7 @@ class Collected:
 
 
 def load_table(folder: Path) -> Collected:
-    rows = load_rows(folder)
+    rows = list(read_rows(folder))
     k = max(len(row["features"]) for row in rows)
     n = len(rows)
     features = torch.zeros(n, k, len(FEATURES), dtype=torch.float64)

@@ -28,7 +28,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from evidence_fit import Signals, evidence_of_all, fit_evidence
+from evidence_fit import evidence_of_all, fit_evidence, split_signals
 from free_shapes import DATA, free_shapes
 from fullturn.data.mixture import KINDS, mixed_pair
 from fullturn.data.motion import axis_angle_rotation, invert, move, rigid
@@ -47,7 +47,7 @@ from fullturn.pose.verdict import (
     verdict_inputs,
 )
 from fullturn.pose.verify import AGREEMENT, EVIDENCE, FEATURES, FINE
-from logit import fit_logit, held_out_rows, load_rows, steps_parser
+from logit import fit_logit, held_out_rows, read_rows, steps_parser
 from weights_file import write_weights
 
 CARD = """# verdict.safetensors
@@ -163,16 +163,6 @@ class Collected:
     shape: np.ndarray
 
 
-def load_signals(rows: list[dict[str, Any]]) -> Signals:
-    """The signals, taken out of the rows: they fill the memory once."""
-    counts = [len(row["signals"]) for row in rows]
-    first = torch.tensor([0, *counts]).cumsum(0)
-    values = torch.empty((int(first[-1]), *rows[0]["signals"].shape[1:]), dtype=torch.half)
-    for row, begin, count in zip(rows, first, counts, strict=False):
-        values[begin : begin + count] = row.pop("signals")
-    return Signals(values, first)
-
-
 def load_table(rows: list[dict[str, Any]]) -> Collected:
     k = max(len(row["features"]) for row in rows)
     n, width = len(rows), len(FEATURES)
@@ -208,8 +198,8 @@ def loss_of(table: Collected) -> Callable[[Tensor, Tensor], Tensor]:
 
 
 def fit_points(args: argparse.Namespace) -> None:
-    rows = load_rows(args.out)
-    signals, table = load_signals(rows), load_table(rows)
+    rows, signals = split_signals(read_rows(args.out), args.out / "signals.f16")
+    table = load_table(rows)
     known = table.features[..., : -len(EVIDENCE)]
     network = fit_evidence(
         signals,
@@ -220,6 +210,7 @@ def fit_points(args: argparse.Namespace) -> None:
         width=args.width,
         steps=args.evidence_steps,
         seed=args.seed,
+        checkpoint=args.out / "evidence.checkpoint",
     )
     parameters = sum(p.numel() for p in network.parameters())
     card = EVIDENCE_CARD.format(count=len(rows), parameters=parameters, data=DATA)
@@ -232,8 +223,8 @@ def fit_points(args: argparse.Namespace) -> None:
 
 
 def fit(args: argparse.Namespace) -> None:
-    rows = load_rows(args.out)
-    signals, table = load_signals(rows), load_table(rows)
+    rows, signals = split_signals(read_rows(args.out), args.out / "signals.f16")
+    table = load_table(rows)
     network = load_evidence_net()
     if network is None:
         raise SystemExit("expected the evidence network's weights; run the step `evidence` first")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -25,9 +25,10 @@ def held_out_rows(shape: np.ndarray, rng: np.random.Generator) -> Tensor:
     return torch.from_numpy(np.isin(shape, rng.choice(shapes, len(shapes) // 5, replace=False)))
 
 
-def load_rows(folder: Path) -> list[dict[str, Any]]:
+def read_rows(folder: Path) -> Iterator[dict[str, Any]]:
     """All that was collected, in the order of the files' names."""
-    return [row for f in sorted(folder.glob("*.pt")) for row in torch.load(f, weights_only=False)]
+    for file in sorted(folder.glob("*.pt")):
+        yield from torch.load(file, weights_only=False)
 
 
 def moments(inputs: Tensor, present: Tensor, held_out: Tensor) -> tuple[Tensor, Tensor]:
