@@ -53,13 +53,15 @@ def test_rivals_are_those_of_one_pair(network: EvidenceNet) -> None:
     assert not torch.allclose(network(values, area), expected)
 
 
-def test_only_compared_signals_feel_the_rivals(network: EvidenceNet) -> None:
+def test_a_rival_matters_by_its_points_and_as_a_whole(network: EvidenceNet) -> None:
     values, area = signals(2)
-    better = values.clone()
-    better[1, ..., 0] = 0.0  # "a" is not compared: the first pose doesn't notice
-    torch.testing.assert_close(network(better, area)[0], network(values, area)[0])
-    better[1, ..., 1] = 0.0
-    assert not torch.allclose(network(better, area)[0], network(values, area)[0])
+    before = network(values, area)
+    # The same pose twice is no rival of itself.
+    torch.testing.assert_close(network(values[[0, 1, 1]], area[[0, 1, 1]]), before[[0, 1, 1]])
+    for signal in range(4):  # compared point by point, or not
+        other = values.clone()
+        other[1, ..., signal] = 0.0
+        assert not torch.allclose(network(other, area)[0], before[0])
 
 
 def test_every_weight_is_reached(network: EvidenceNet) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
+from typing import Literal
 
 import torch
 from jaxtyping import Float, Int
@@ -30,7 +31,8 @@ class EvidenceNet(nn.Module):
        through a small perceptron.
     2. Its outputs are averaged over the points of each cloud, by area (as in Qi et al., PointNet,
        CVPR 2017, with means for maxima).
-    3. A second perceptron over the mean and the difference of both clouds.
+    3. A second perceptron over the mean and the difference of both clouds, and how far these lie
+       below the largest among the rivals.
 
     It knows no order of points, poses or clouds.
     """
@@ -52,7 +54,7 @@ class EvidenceNet(nn.Module):
             nn.ReLU(),
         )
         self.pose = nn.Sequential(
-            nn.Linear(2 * width, width), nn.Tanh(), nn.Linear(width, 1, bias=False)
+            nn.Linear(4 * width, width), nn.Tanh(), nn.Linear(width, 1, bias=False)
         )
 
     def forward(
@@ -66,19 +68,28 @@ class EvidenceNet(nn.Module):
         `pair` says which pair of clouds a pose is of (None: all of one); rivals are of one pair.
         """
         compared = signals[..., self._compared].abs()
-        if pair is None:
-            least = compared.amin(0)
-        else:
-            least = compared.new_full((int(pair.max()) + 1, *compared.shape[1:]), torch.inf)
-            at = pair.view(-1, 1, 1, 1).expand_as(compared)
-            least = least.scatter_reduce_(0, at, compared, "amin")[pair]
         standard = ((signals - self.mean) / self.deviation).clamp(-_LARGEST, _LARGEST)
-        of_point = self.point(torch.cat([standard, compared - least], -1))
+        above = compared - _among_rivals(compared, pair, "amin")
+        of_point = self.point(torch.cat([standard, above], -1))
         total = area.sum(-1, keepdim=True).clamp_min(1e-6)
         pooled = (area.unsqueeze(-2) @ of_point)[..., 0, :] / total
         source, target = pooled.unbind(1)
         both = torch.cat([(source + target) / 2, (source - target).abs()], -1)
-        return self.pose(both)[:, 0]
+        below = both - _among_rivals(both, pair, "amax")
+        return self.pose(torch.cat([both, below], -1))[:, 0]
+
+
+def _among_rivals(
+    value: Float[Tensor, "k *rest"],
+    pair: Int[Tensor, " k"] | None,
+    extreme: Literal["amin", "amax"],
+) -> Float[Tensor, "_ *rest"]:
+    """The least or the largest of each value among the poses of one pair; a row, or one for all."""
+    if pair is None:
+        return torch.amin(value, 0, True) if extreme == "amin" else torch.amax(value, 0, True)
+    row = pair.view(-1, *(1,) * (value.dim() - 1)).expand_as(value)
+    found = value.new_empty((int(pair.max()) + 1, *value.shape[1:]))
+    return found.scatter_reduce_(0, row, value, extreme, include_self=False)[pair]
 
 
 @cache
