@@ -126,7 +126,7 @@ def test_the_largest_rotation_reaches_the_method(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(api, "get", lambda _: Limited)
     for limit_deg in (None, 90, 180.0):
         fullturn.register(CLOUD, CLOUD, max_rotation_deg=limit_deg)
-    assert told == [None, pytest.approx(np.pi / 2), np.pi]
+    assert told == [None, pytest.approx(np.pi / 2), None]  # 180° is no limit
     with pytest.raises(InputError, match="expected an angle above 0 and up to 180, or None, got 0"):
         fullturn.register(CLOUD, CLOUD, max_rotation_deg=0)
 
