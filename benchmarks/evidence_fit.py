@@ -43,15 +43,18 @@ def split_signals(
 ) -> tuple[list[dict[str, Any]], Signals]:
     """The rows without their signals, and these in a file, for they outgrow the memory."""
     kept, counts = [], [0]
+    one: tuple[int, ...] = ()
     with file.open("wb") as stream:
         for row in rows:
             values = row.pop("signals").numpy()
             stream.write(values.tobytes())
             counts.append(len(values))
             kept.append(row)
+            one = values.shape[1:]
+    if not kept:
+        raise SystemExit(f"expected collected pairs in {file.parent}; run the step `collect` first")
     first = np.cumsum(counts)
-    shape = (int(first[-1]), *values.shape[1:])
-    return kept, Signals(np.memmap(file, np.float16, "r", shape=shape), first)
+    return kept, Signals(np.memmap(file, np.float16, "r", shape=(int(first[-1]), *one)), first)
 
 
 class _Both(nn.Module):
@@ -91,8 +94,9 @@ def fit_evidence(
 ) -> EvidenceNet:
     """The network after AdamW on the pairs that are not held out; arguments as `logit.fit_logit`.
 
-    It goes on from the `checkpoint`, where there is one.
+    It goes on from the `checkpoint`, where there is one; that of another fit is refused.
     """
+    fit = {"width": width, "steps": steps, "seed": seed, "pairs": len(present)}
     torch.manual_seed(seed)
     network = EvidenceNet(EvidenceNetConfig(SIGNALS, COMPARED, width))
     some, _ = signals.of(torch.randperm(len(present))[:200])
@@ -109,11 +113,13 @@ def fit_evidence(
     optimizer = torch.optim.AdamW(groups, lr=RATE)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps)
     train, test = torch.nonzero(~held_out)[:, 0], torch.nonzero(held_out)[:HELD_OUT, 0]
-    parts: dict[str, Any] = {"both": both, "optimizer": optimizer, "schedule": schedule}
+    stateful: dict[str, Any] = {"both": both, "optimizer": optimizer, "schedule": schedule}
     done = 0
     if checkpoint.exists():
         state = torch.load(checkpoint)
-        for name, part in parts.items():
+        if state["fit"] != fit:
+            raise SystemExit(f"{checkpoint} is of another fit, {state['fit']}; remove it")
+        for name, part in stateful.items():
             part.load_state_dict(state[name])
         torch.set_rng_state(state["random"])
         done = state["step"]
@@ -132,14 +138,15 @@ def fit_evidence(
             both.eval()
             with torch.no_grad():
                 losses = [
-                    loss(both(standard[some], present[some], *signals.of(some)), some) * len(some)
-                    for some in test.split(BATCH)
+                    loss(both(standard[part], present[part], *signals.of(part)), part) * len(part)
+                    for part in test.split(BATCH)
                 ]
             both.train()
             held = sum(losses) / len(test)
             print(f"step {step}: train {average:.3f}, held out {held:.4f}", flush=True)
-            state = {name: part.state_dict() for name, part in parts.items()}
-            torch.save({**state, "random": torch.get_rng_state(), "step": step}, checkpoint)
+            state = {name: part.state_dict() for name, part in stateful.items()}
+            state |= {"fit": fit, "step": step, "random": torch.get_rng_state()}
+            torch.save(state, checkpoint)
     return network.eval()
 
 
