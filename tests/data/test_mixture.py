@@ -59,6 +59,7 @@ def test_scans_are_various() -> None:
         gaps = cKDTree(pair.source).query(pair.source, k=2)[0][:, 1]
         evenness.append(np.quantile(gaps, 0.05) / np.median(gaps))
     # Evenly over the range, but for thinning that comes on top.
+    assert min(overlaps) < 0.5 < 0.8 < max(overlaps)
     assert max(np.histogram(overlaps, [0, 0.25, 0.5, 0.75, 1])[0]) < 0.5 * len(overlaps)
     assert min(np.quantile(overlaps, 0.4), 1 - np.quantile(overlaps, 0.6)) > 0.3
     # Up to a radius from the object's middle to the middle of what is seen of it.
