@@ -29,6 +29,7 @@ from fullturn.data.mixture import mixed_pair
 from fullturn.data.shapes import MeshSource
 from fullturn.errors import FullturnError
 from fullturn.features.surface import distances
+from fullturn.geometry import rigid
 from fullturn.nn.surface import SurfaceNet
 from fullturn.normalize import normalized_clouds
 from fullturn.pose.search import coarse_and_fine
@@ -60,7 +61,7 @@ pairs that were held out:
 
 def collect(args: argparse.Namespace) -> None:
     torch.set_num_threads(1)
-    shapes = free_shapes(args.seed, args.data, meshes=2)
+    shapes = free_shapes(args.seed, args.data, meshes=2, stretched=True)
     args.out.mkdir(parents=True, exist_ok=True)
     for first in range(args.first, args.count, args.shard):
         path = args.out / f"levels-{args.seed}-{first:06d}.pt"
@@ -106,17 +107,7 @@ def fit(args: argparse.Namespace) -> None:
     torch.manual_seed(args.seed)
     network = SurfaceNet()
     with torch.no_grad():
-        for row in rows + held_out:
-            for cloud in row["clouds"]:
-                everyone = torch.arange(len(cloud["points"]))
-                cloud["told"] = network.surroundings(
-                    cloud["points"],
-                    cloud["normals"],
-                    cloud["area"],
-                    distances(cloud["points"], everyone),
-                    everyone,
-                ).half()
-        some = torch.cat([row["clouds"][0]["told"].float() for row in rows[:400]])
+        some = torch.cat([surroundings(network, row["clouds"][0]) for row in rows[:400]])
         network.mean.copy_(some.mean(0))
         network.deviation.copy_(some.std(0) + 1e-3)
     print(f"{len(rows)} pairs, {len(held_out)} held out", flush=True)
@@ -170,16 +161,19 @@ def fit(args: argparse.Namespace) -> None:
     write(network, args, pairs=len(rows), held_out=held_out, minutes=seconds / 60)
 
 
-def keypoints(cloud: dict[str, Tensor], rng: np.random.Generator) -> dict[str, Tensor]:
-    """What is known of some of the points."""
-    some = torch.from_numpy(rng.permutation(len(cloud["points"]))[:KEYPOINTS])
-    return {key: value[some] for key, value in cloud.items()}
-
-
-def describe(network: SurfaceNet, cloud: dict[str, Tensor]) -> Tensor:
+def surroundings(network: SurfaceNet, cloud: dict[str, Tensor]) -> Tensor:
+    """What the network is told of every point."""
     everyone = torch.arange(len(cloud["points"]))
     distance = distances(cloud["points"], everyone)
-    return network.describe(cloud["told"].float(), cloud["area"], distance)
+    return network.surroundings(**cloud, distance=distance, keypoints=everyone)
+
+
+def described(
+    network: SurfaceNet, cloud: dict[str, Tensor], rng: np.random.Generator
+) -> tuple[Tensor, Tensor]:
+    """Places and descriptors of random keypoints."""
+    some = torch.from_numpy(rng.permutation(len(cloud["points"]))[:KEYPOINTS])
+    return cloud["points"][some], network(**cloud, keypoints=some, spacing=1.0)
 
 
 def pair_loss(network: SurfaceNet, row: dict[str, Any], rng: np.random.Generator) -> Tensor | None:
@@ -187,11 +181,8 @@ def pair_loss(network: SurfaceNet, row: dict[str, Any], rng: np.random.Generator
 
     Points between `SAME` and `OTHER` away from the true place count as neither.
     """
-    source, target = (keypoints(cloud, rng) for cloud in row["clouds"])
-    T = row["T"]
-    there = source["points"] @ T[:3, :3].T + T[:3, 3]
-    descriptors = [describe(network, cloud) for cloud in (source, target)]
-    places = [there, target["points"]]
+    places, descriptors = zip(*(described(network, one, rng) for one in row["clouds"]), strict=True)
+    places = (rigid.apply(row["T"], places[0]), places[1])
     losses = []
     for one in (0, 1):
         anchors = torch.from_numpy(rng.permutation(len(places[one]))[:ANCHORS])
@@ -210,16 +201,15 @@ def pair_loss(network: SurfaceNet, row: dict[str, Any], rng: np.random.Generator
 
 @torch.no_grad()
 def scores(network: SurfaceNet, rows: list[dict[str, Any]]) -> str:
-    """The share of right matches among the 500 best, by kind, as a table."""
+    """The share of right matches among the 200 best, by kind, as a table."""
     shares: dict[str, list[float]] = {"all": []}
     rng = np.random.default_rng(0)
     for row in rows:
-        source, target = (keypoints(cloud, rng) for cloud in row["clouds"])
-        alike = describe(network, source) @ describe(network, target).T
-        value, index = alike.max(1)
+        (source, one), (target, other) = (described(network, c, rng) for c in row["clouds"])
+        value, index = (one @ other.T).max(1)
         best = value.topk(min(200, len(value))).indices
-        there = source["points"][best] @ row["T"][:3, :3].T + row["T"][:3, 3]
-        right = (there - target["points"][index[best]]).norm(dim=-1) < 2.0
+        there = rigid.apply(row["T"], source[best])
+        right = (there - target[index[best]]).norm(dim=-1) < 2.0
         for kind in ("all", row["kind"]):
             shares.setdefault(kind, []).append(float(right.float().mean()))
     lines = [f"| {kind} | {len(v)} | {np.mean(v):.3f} |" for kind, v in shares.items()]

@@ -290,9 +290,9 @@ def main() -> None:
     parser = steps_parser(
         __doc__, "verdict", steps=steps, collected="pairs", count=4000, shard=50, seed=20
     )
-    parser.set_defaults(hidden=64, steps=3000, weight_decay=0.5)
+    parser.set_defaults(hidden=64, steps=6000, weight_decay=0.5)
     parser.add_argument("--width", type=int, default=32, help="of the evidence network")
-    parser.add_argument("--evidence-steps", type=int, default=8000)
+    parser.add_argument("--evidence-steps", type=int, default=7000)
     parser.add_argument("--dense", action="store_true", help="clouds of 5,000 points and more")
     args = parser.parse_args()
     steps[args.step](args)

@@ -22,6 +22,7 @@ class EvidenceNetConfig:
     signals: tuple[str, ...]
     compared: tuple[str, ...]  # signals, of each point, held against its least among the rivals
     width: int = 32
+    heads: int = 8  # of the attention over points
 
 
 class EvidenceNet(nn.Module):
@@ -30,7 +31,8 @@ class EvidenceNet(nn.Module):
     1. Each point's signals, and how much larger than under the best rival some of them are, go
        through a small perceptron.
     2. Its outputs are averaged over the points of each cloud, by area (as in Qi et al., PointNet,
-       CVPR 2017, with means for maxima).
+       CVPR 2017, with means for maxima); and, as a few points can decide, some sums of them once
+       more by area and weights of their own (attention as in Ilse et al., ICML 2018).
     3. A second perceptron over the mean and the difference of both clouds, and how far these lie
        below the largest among the rivals.
 
@@ -53,8 +55,10 @@ class EvidenceNet(nn.Module):
             nn.Linear(width, width),
             nn.ReLU(),
         )
+        self.attention = nn.Linear(width, config.heads, bias=False)
+        self.value = nn.Linear(width, config.heads)
         self.pose = nn.Sequential(
-            nn.Linear(4 * width, width), nn.Tanh(), nn.Linear(width, 1, bias=False)
+            nn.Linear(4 * (width + config.heads), width), nn.Tanh(), nn.Linear(width, 1, bias=False)
         )
 
     def forward(
@@ -71,12 +75,18 @@ class EvidenceNet(nn.Module):
         standard = ((signals - self.mean) / self.deviation).clamp(-_LARGEST, _LARGEST)
         above = compared - _among_rivals(compared, pair, "amin")
         of_point = self.point(torch.cat([standard, above], -1))
-        total = area.sum(-1, keepdim=True).clamp_min(1e-6)
-        pooled = (area.unsqueeze(-2) @ of_point)[..., 0, :] / total
-        source, target = pooled.unbind(1)
+        source, target = self._pooled(of_point, area).unbind(1)
         both = torch.cat([(source + target) / 2, (source - target).abs()], -1)
         below = both - _among_rivals(both, pair, "amax")
         return self.pose(torch.cat([both, below], -1))[:, 0]
+
+    def _pooled(
+        self, of_point: Float[Tensor, "k 2 m w"], area: Float[Tensor, "k 2 m"]
+    ) -> Float[Tensor, "k 2 p"]:
+        total = area.sum(-1, keepdim=True).clamp_min(1e-6)
+        mean = (area.unsqueeze(-2) @ of_point)[..., 0, :] / total
+        weight = (self.attention(of_point) + area.clamp_min(1e-9).log().unsqueeze(-1)).softmax(-2)
+        return torch.cat([mean, (weight * self.value(of_point)).sum(-2)], -1)
 
 
 def _among_rivals(
@@ -102,6 +112,11 @@ def load_evidence_net() -> EvidenceNet | None:
     return load_packaged(
         "evidence.safetensors",
         lambda config: EvidenceNet(
-            EvidenceNetConfig(tuple(config["signals"]), tuple(config["compared"]), config["width"])
+            EvidenceNetConfig(
+                tuple(config["signals"]),
+                tuple(config["compared"]),
+                config["width"],
+                config["heads"],
+            )
         ),
     )

@@ -54,8 +54,8 @@ class SearchConfig:
     matched_finalists: int = 12
     # Share of the best pose's overlap below which a pose is dropped: of those chosen by it after
     # the first refinement, and of all before the verdict.
-    mode_share: float = 0.4
-    finalist_share: float = 0.5
+    mode_share: float = 0.5
+    finalist_share: float = 0.6
     # What finds matches: the descriptor network, or handcrafted histograms.
     descriptor: Literal["network", "histogram"] = "network"
 
