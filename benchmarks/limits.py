@@ -4,7 +4,8 @@
 
 RUN are run folders of `fullturn evaluate`; --data are the folders that hold the packs, scans and
 built sets that their pairs were made from. Rewrites what stands between the two marks in
-docs/limits.md, and draws docs/images/limits_failures.png. The chosen pairs are registered again;
+docs/limits.md, and draws docs/images/limits_failures.png. Of some sets, errors are also told by how
+much the clouds of a pair overlap. The chosen pairs are registered again;
 those that come out right by now are passed over.
 """
 
@@ -14,7 +15,7 @@ import argparse
 import csv
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import chain, islice, zip_longest
+from itertools import chain, islice, pairwise, zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,7 @@ from matplotlib.figure import Figure
 
 from fullturn.data.motion import move
 from fullturn.data.open import open_pairs, open_shapes, protocol_pairs
+from fullturn.data.overlap import scan_overlap
 from fullturn.data.pair import Pair
 from fullturn.data.pair_set import PairSet
 from fullturn.errors import FullturnError
@@ -46,6 +48,8 @@ ROOT = Path(__file__).resolve().parents[1]
 WRONG_DEG = 5.0
 CERTAIN = 0.9
 POINTS = 2_000  # of each cloud, drawn
+BY_OVERLAP = ("predator/45",)  # sets whose errors are told by overlap
+OVERLAPS = (0.0, 0.1, 0.2, 0.3, 0.4, 1.0)
 HEADER = (
     "pairs",
     "n",
@@ -65,6 +69,7 @@ class Row:
     name: str
     group: str
     related: bool
+    error_deg: float
     wrong: bool
     probability: float
     fits: bool  # as well as the true pose
@@ -111,6 +116,7 @@ def read_rows(result: SetResult, method: str) -> list[Row]:
             name=row["name"],
             group=row["group"],
             related=row["related"] == "1",
+            error_deg=float(row["rotation_error_deg"] or "nan"),
             wrong=bool(row["error"]) or float(row["rotation_error_deg"] or 0.0) >= WRONG_DEG,
             probability=float(row["success_probability"] or 0.0),
             fits=row["geometric_success"] == "1",
@@ -131,6 +137,26 @@ def counts_table(sets: Mapping[str, Sequence[Row]]) -> Table:
         counts += (sum(row.among for row in wrong), said)
         lines.append((name, *map(str, counts)))
     return Table("limits", "Limits", tuple((head,) for head in HEADER), tuple(lines))
+
+
+def overlap_table(rows: Sequence[Row], pairs: PairSet) -> Table:
+    """Errors of the answers to a set by how much the two clouds of a pair overlap."""
+    rows = [row for row in rows if row.related and np.isfinite(row.error_deg)]
+    known = (pairs.pair(row.index) for row in rows)
+    overlap = np.array([scan_overlap(move(p.T_target_source, p.source), p.target) for p in known])
+    error = np.array([row.error_deg for row in rows])
+    wrong = np.array([row.wrong for row in rows])
+    said = np.array([row.probability for row in rows])
+    lines = []
+    for number, (low, high) in enumerate(pairwise(OVERLAPS), start=2):
+        of = (overlap >= low) & ((overlap < high) | (number == len(OVERLAPS)))
+        if of.any():
+            name = f"{100 * low:.0f} to {100 * high:.0f} %"
+            share = error[of].sum() / len(rows)
+            told = (f"{error[of].mean():.2f}°", f"{share:.2f}°", f"{said[of].mean():.2f}")
+            lines.append((name, str(of.sum()), str(wrong[of].sum()), *told))
+    header = ("overlap", "n", "wrong", "mean error", "of the set's mean", "mean probability")
+    return Table("overlap", "By overlap", tuple((head,) for head in header), tuple(lines))
 
 
 def unrelated_lines(sets: Mapping[str, Sequence[Row]]) -> list[str]:
@@ -251,9 +277,16 @@ def draw(failures: Sequence[Failure]) -> Figure:
     return figure
 
 
-def section(sets: Mapping[str, Sequence[Row]], failures: Sequence[Failure], picture: str) -> str:
+def section(
+    sets: Mapping[str, Sequence[Row]],
+    overlaps: Mapping[str, Table],
+    failures: Sequence[Failure],
+    picture: str,
+) -> str:
     """The Markdown between the marks."""
     parts = [markdown(counts_table(sets))]
+    for name, table in overlaps.items():
+        parts += [wrapped(f"`{name}`, by the overlap of the two clouds:"), markdown(table)]
     parts += [wrapped(line) for line in unrelated_lines(sets)]
     if failures:
         parts.append(f"![Wrong poses beside the true ones]({picture})\n")
@@ -275,12 +308,20 @@ def main() -> None:
     sets = {name: read_rows(result, told.method) for name, result in results.items()}
     again = fail_again(results, sets, get(told.method)(), folders=told.data)
     failures = list(islice(again, told.pictures))
+    overlaps = {}
+    for name in sets.keys() & BY_OVERLAP:
+        pairs = reopen(results[name].description, name, told.data)
+        if pairs is not None:
+            overlaps[name] = overlap_table(sets[name], pairs)
     picture = "images/limits_failures.png"
     if failures:
         write_figure(told.docs / picture, lambda: draw(failures), dpi=72)
     page = told.docs / "limits.md"
     text = rewrite(
-        page.read_text(encoding="utf-8"), section(sets, failures, picture), begin=BEGIN, end=END
+        page.read_text(encoding="utf-8"),
+        section(sets, overlaps, failures, picture),
+        begin=BEGIN,
+        end=END,
     )
     page.write_text(text, encoding="utf-8")
 

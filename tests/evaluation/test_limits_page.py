@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import csv
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -21,6 +23,8 @@ from run_pairs import listed_pairs, write_methods
 import covariance
 import limits
 from fullturn.data.draw import ProtocolPairs
+from fullturn.data.motion import move
+from fullturn.data.pair_set import PairSet
 from fullturn.data.protocols import PROTOCOLS
 from fullturn.data.shapes import ProceduralShapes
 from fullturn.evaluation.folders import read_runs
@@ -30,7 +34,7 @@ from fullturn.methods.registry import get
 
 def row(name: str, probability: float, **other: object) -> limits.Row:
     known = {"set": "scans", "index": 0, "group": "", "related": True, "wrong": True}
-    known |= {"fits": True, "among": False}
+    known |= {"fits": True, "among": False, "error_deg": 90.0}
     return limits.Row(**{**known, "name": name, "probability": probability, **other})  # type: ignore
 
 
@@ -113,6 +117,22 @@ class TestLimits:
         ]
         assert [one.name for one in limits.candidates({"scans": rows})] == ["a", "d", "b", "c"]
 
+    def test_errors_are_told_by_overlap(self) -> None:
+        far, near = listed_pairs(2)
+        far = replace(far, target=far.target + 100.0)
+        near = replace(near, target=move(near.T_target_source, near.source))
+        pairs = cast(PairSet, SimpleNamespace(pair=[near, far].__getitem__))
+        rows = [
+            row("a", 0.9, index=0, error_deg=1.0, wrong=False),
+            row("b", 0.2, index=1, error_deg=50.0),
+            row("c", 0.4, index=1, error_deg=30.0),
+            row("d", 0.9, index=0, error_deg=np.nan),
+            row("e", 0.9, index=0, related=False),
+        ]
+        low, high = limits.overlap_table(rows, pairs).rows
+        assert low == ("0 to 10 %", "2", "2", "40.00°", "26.67°", "0.30")
+        assert high == ("40 to 100 %", "1", "0", "1.00°", "0.33°", "0.90")
+
     def test_scans_of_one_object_are_one_shape(self) -> None:
         assert row("dragon/a.ply-b.ply", 0.5, set="stanford").shape == "dragon"
         assert row("pack/models/stapler/textured.obj", 0.5).shape == "stapler/textured.obj"
@@ -127,7 +147,7 @@ class TestLimits:
 
     def test_the_page_keeps_what_stands_around_the_marks(self) -> None:
         page = f"# Title\n\n{limits.BEGIN}\nold\n{limits.END}\n\nMore.\n"
-        part = limits.section({"scans": [row("a", 0.95)]}, [], "p.png")
+        part = limits.section({"scans": [row("a", 0.95)]}, {}, [], "p.png")
         text = limits.rewrite(page, part, limits.BEGIN, limits.END)
         assert text.startswith("# Title\n")
         assert text.endswith("\n\nMore.\n")
