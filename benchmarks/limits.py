@@ -148,8 +148,8 @@ def overlap_table(rows: Sequence[Row], pairs: PairSet) -> Table:
     wrong = np.array([row.wrong for row in rows])
     said = np.array([row.probability for row in rows])
     lines = []
-    for number, (low, high) in enumerate(pairwise(OVERLAPS), start=2):
-        of = (overlap >= low) & ((overlap < high) | (number == len(OVERLAPS)))
+    for low, high in pairwise(OVERLAPS):
+        of = (overlap >= low) & ((overlap < high) | (high == OVERLAPS[-1]))
         if of.any():
             name = f"{100 * low:.0f} to {100 * high:.0f} %"
             share = error[of].sum() / len(rows)
@@ -309,7 +309,7 @@ def main() -> None:
     again = fail_again(results, sets, get(told.method)(), folders=told.data)
     failures = list(islice(again, told.pictures))
     overlaps = {}
-    for name in sets.keys() & BY_OVERLAP:
+    for name in filter(sets.__contains__, BY_OVERLAP):
         pairs = reopen(results[name].description, name, told.data)
         if pairs is not None:
             overlaps[name] = overlap_table(sets[name], pairs)
