@@ -4,9 +4,9 @@
 
 RUN are run folders of `fullturn evaluate`; --data are the folders that hold the packs, scans and
 built sets that their pairs were made from. Rewrites what stands between the two marks in
-docs/limits.md, and draws docs/images/limits_failures.png. Of some sets, errors are also told by how
-much the clouds of a pair overlap. The chosen pairs are registered again;
-those that come out right by now are passed over.
+docs/limits.md, and draws docs/images/limits_failures.png. The chosen pairs are registered again;
+those that come out right by now are passed over. Of some sets, errors are also told by how much the
+clouds of a pair overlap.
 """
 
 from __future__ import annotations
@@ -69,11 +69,15 @@ class Row:
     name: str
     group: str
     related: bool
-    error_deg: float
-    wrong: bool
+    error_deg: float  # NaN where the method failed, or no pose is right
     probability: float
     fits: bool  # as well as the true pose
     among: bool  # the truth is the answer or one of its alternatives
+
+    @property
+    def wrong(self) -> bool:
+        """Whether the answer is off, or there is none."""
+        return not self.error_deg < WRONG_DEG
 
     @property
     def shape(self) -> str:
@@ -116,8 +120,7 @@ def read_rows(result: SetResult, method: str) -> list[Row]:
             name=row["name"],
             group=row["group"],
             related=row["related"] == "1",
-            error_deg=float(row["rotation_error_deg"] or "nan"),
-            wrong=bool(row["error"]) or float(row["rotation_error_deg"] or 0.0) >= WRONG_DEG,
+            error_deg=float((not row["error"] and row["rotation_error_deg"]) or "nan"),
             probability=float(row["success_probability"] or 0.0),
             fits=row["geometric_success"] == "1",
             among=row["any_success"] == "1",
@@ -309,7 +312,7 @@ def main() -> None:
     again = fail_again(results, sets, get(told.method)(), folders=told.data)
     failures = list(islice(again, told.pictures))
     overlaps = {}
-    for name in filter(sets.__contains__, BY_OVERLAP):
+    for name in (name for name in BY_OVERLAP if name in sets):
         pairs = reopen(results[name].description, name, told.data)
         if pairs is not None:
             overlaps[name] = overlap_table(sets[name], pairs)

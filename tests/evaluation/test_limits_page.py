@@ -33,8 +33,8 @@ from fullturn.methods.registry import get
 
 
 def row(name: str, probability: float, **other: object) -> limits.Row:
-    known = {"set": "scans", "index": 0, "group": "", "related": True, "wrong": True}
-    known |= {"fits": True, "among": False, "error_deg": 90.0}
+    known = {"set": "scans", "index": 0, "group": "", "related": True, "error_deg": 90.0}
+    known |= {"fits": True, "among": False}
     return limits.Row(**{**known, "name": name, "probability": probability, **other})  # type: ignore
 
 
@@ -97,7 +97,7 @@ class TestLimits:
         rows = [
             row("a", 0.95),
             row("b", 0.5, fits=False, among=True),
-            row("c", 0.99, wrong=False),
+            row("c", 0.99, error_deg=1.0),
             row("d", 0.93, related=False),
         ]
         table = limits.counts_table({"scans": rows})
@@ -112,7 +112,7 @@ class TestLimits:
             row("a", 0.7, fits=False),
             row("c", 0.6, fits=False),
             row("d", 0.3, group="low overlap"),
-            row("e", 0.99, wrong=False),
+            row("e", 0.99, error_deg=1.0),
             row("f", 0.99, related=False),
         ]
         assert [one.name for one in limits.candidates({"scans": rows})] == ["a", "d", "b", "c"]
@@ -123,7 +123,7 @@ class TestLimits:
         near = replace(near, target=move(near.T_target_source, near.source))
         pairs = cast(PairSet, SimpleNamespace(pair=[near, far].__getitem__))
         rows = [
-            row("a", 0.9, index=0, error_deg=1.0, wrong=False),
+            row("a", 0.9, index=0, error_deg=1.0),
             row("b", 0.2, index=1, error_deg=50.0),
             row("c", 0.4, index=1, error_deg=30.0),
             row("d", 0.9, index=0, error_deg=np.nan),
