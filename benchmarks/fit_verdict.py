@@ -8,9 +8,11 @@
 `collect` makes pairs of many kinds (one sampling or two, noise or none, half-space and plane crops,
 virtual scans, few and many points, unrelated shapes) from generated shapes and, with --data, from
 the freely licensed meshes of a mesh pack; it runs the search and stores what verification measured
-of each finalist. It resumes where it stopped. `evidence` trains the network that sums up what all
-points say, `fit` then the verdict, which takes its number as one of its features: on 80 % of the
-shapes, with calibration on the rest; both write their weights into the package.
+of each finalist. It resumes where it stopped. The search looks twice where the verdict of the
+package doubts; if that was fit to other features, a first fit needs --once. `evidence` trains the
+network that sums up what all points say, `fit` then the verdict, which takes its number as one of
+its features: on 80 % of the shapes, with calibration on the rest; both write their weights into the
+package.
 """
 
 from __future__ import annotations
@@ -39,7 +41,8 @@ from fullturn.evaluation.metrics import expected_calibration_error
 from fullturn.geometry.cloud import Cloud
 from fullturn.nn.evidence import load_evidence_net
 from fullturn.normalize import normalized_clouds
-from fullturn.pose.search import Finalists, find_finalists
+from fullturn.pose.look import look
+from fullturn.pose.search import Finalists, SearchConfig, find_finalists
 from fullturn.pose.verdict import (
     VerdictWeights,
     log_probabilities,
@@ -120,7 +123,10 @@ def collect(args: argparse.Namespace) -> None:
                 if rng.random() < LIMITED:
                     pair, limit = nearly_aligned(pair, rng), rng.uniform(0.8, 1.2)
                 source, target, T_true = normalized(pair, viewpoints=number % 2 == 0)
-                found = find_finalists(source, target, max_rotation_rad=limit)
+                if args.once:
+                    found = find_finalists(source, target, max_rotation_rad=limit)
+                else:
+                    found, _ = look(source, target, config=SearchConfig(), max_rotation_rad=limit)
             except FullturnError as error:
                 print(number, type(error).__name__, error, flush=True)
                 continue
@@ -293,6 +299,7 @@ def main() -> None:
     parser.set_defaults(hidden=64, steps=6000, weight_decay=0.5)
     parser.add_argument("--width", type=int, default=32, help="of the evidence network")
     parser.add_argument("--evidence-steps", type=int, default=7000)
+    parser.add_argument("--once", action="store_true", help="the search doesn't look twice")
     parser.add_argument("--dense", action="store_true", help="clouds of 5,000 points and more")
     args = parser.parse_args()
     steps[args.step](args)

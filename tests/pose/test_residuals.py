@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from fullturn.pose.residuals import gauss_newton_step, normal_equations, skew
+from fullturn.pose.residuals import gauss_newton_step, normal_equations
 
 
 def problem(count: int, *, seed: int = 0, batch: tuple[int, ...] = ()) -> tuple[Tensor, ...]:
@@ -107,10 +107,3 @@ def test_nothing_pulls_nothing_moves_and_steps_are_bounded() -> None:
     assert float(held.abs().max()) == pytest.approx(0.05)
     damped = gauss_newton_step(2 * eye, pull, damping=1.0, largest=9.0)
     torch.testing.assert_close(damped, -pull / 4)
-
-
-def test_skew_is_the_cross_product() -> None:
-    a, b = torch.from_numpy(np.random.default_rng(5).normal(size=(2, 4, 7, 3)))
-    expected = torch.linalg.cross(a, b)
-    torch.testing.assert_close((skew(a) @ b.unsqueeze(-1)).squeeze(-1), expected)
-    torch.testing.assert_close(skew(a), -skew(a).mT)

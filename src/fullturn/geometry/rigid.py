@@ -26,10 +26,14 @@ def make(
     >>> make(torch.eye(3), torch.tensor([1.0, 2.0, 3.0]))[:3, 3]
     tensor([1., 2., 3.])
     """
-    batch = torch.broadcast_shapes(R.shape[:-2], t.shape[:-1])
-    top = torch.cat([R.expand(*batch, 3, 3), t.expand(*batch, 3)[..., None]], dim=-1)
-    bottom = torch.tensor([0.0, 0.0, 0.0, 1.0], dtype=top.dtype, device=top.device)
-    return torch.cat([top, bottom.expand(*batch, 1, 4)], dim=-2)
+    batch = R.shape[:-2]
+    if t.shape[:-1] != batch:
+        batch = torch.broadcast_shapes(batch, t.shape[:-1])
+    T = R.new_zeros((*batch, 4, 4), dtype=torch.promote_types(R.dtype, t.dtype))
+    T[..., :3, :3] = R
+    T[..., :3, 3] = t
+    T[..., 3, 3] = 1.0
+    return T
 
 
 def compose(
@@ -57,7 +61,7 @@ def exp_so3(rotation_vector: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch
 
     Rodrigues: R = I + (sin θ/θ) K + ((1 − cos θ)/θ²) K², with K the cross-product matrix.
     """
-    K = _cross_matrix(rotation_vector)
+    K = skew(rotation_vector)
     sinc, cosc, _ = _exp_coefficients(rotation_vector.square().sum(-1))
     return _eye_like(K) + sinc * K + cosc * (K @ K)
 
@@ -85,12 +89,23 @@ def exp_se3(twist: Float[Tensor, "*batch 6"]) -> Float[Tensor, "*batch 4 4"]:
     t = V ρ with V = I + ((1 − cos θ)/θ²) K + ((θ − sin θ)/θ³) K².
     """
     rotation_vector, rho = twist[..., :3], twist[..., 3:]
-    K = _cross_matrix(rotation_vector)
+    K = skew(rotation_vector)
     K_sq = K @ K
     sinc, cosc, cubic = _exp_coefficients(rotation_vector.square().sum(-1))
     eye = _eye_like(K)
     V = eye + cosc * K + cubic * K_sq
     return make(eye + sinc * K + cosc * K_sq, (V @ rho[..., None])[..., 0])
+
+
+def small_motion(step: Float[Tensor, "*batch 6"]) -> Float[Tensor, "*batch 4 4"]:
+    """Rigid motion x → R x + v of a step (ω, v) of an optimizer; a fifth of the cost of `exp_se3`.
+
+    R = (I − [ω/2]ₓ)⁻¹ (I + [ω/2]ₓ) (Cayley), which turns by ω but for terms of the third order.
+    """
+    half = 0.5 * step[..., :3]
+    K = skew(half)
+    scale = 2.0 / (1.0 + half.square().sum(-1))
+    return make(_eye_like(K) + scale[..., None, None] * (K + K @ K), step[..., 3:])
 
 
 def log_se3(T_target_source: Float[Tensor, "*batch 4 4"]) -> Float[Tensor, "*batch 6"]:
@@ -99,7 +114,7 @@ def log_se3(T_target_source: Float[Tensor, "*batch 4 4"]) -> Float[Tensor, "*bat
     ρ = V⁻¹ t with V⁻¹ = I − K/2 + ((1 − (θ/2) cot(θ/2))/θ²) K².
     """
     rotation_vector = log_so3(T_target_source[..., :3, :3])
-    K = _cross_matrix(rotation_vector)
+    K = skew(rotation_vector)
     angle_sq = rotation_vector.square().sum(-1)
     small = angle_sq < _SERIES_BELOW_SQ
     safe_sq = torch.where(small, 1.0, angle_sq)
@@ -113,6 +128,13 @@ def log_se3(T_target_source: Float[Tensor, "*batch 4 4"]) -> Float[Tensor, "*bat
     V_inverse = _eye_like(K) - K / 2 + torch.where(small, series, closed)[..., None, None] * (K @ K)
     rho = (V_inverse @ T_target_source[..., :3, 3:])[..., 0]
     return torch.cat([rotation_vector, rho], dim=-1)
+
+
+def skew(v: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
+    """[v]ₓ, so that [v]ₓ u = v × u."""
+    x, y, z = v.unbind(-1)
+    zero = torch.zeros_like(x)
+    return torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], dim=-1).unflatten(-1, (3, 3))
 
 
 def rotation_angle_rad(R: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch"]:
@@ -156,7 +178,7 @@ def random_rotations_uniform(count: int, *, rng: np.random.Generator) -> Float[T
     q = torch.from_numpy(rng.standard_normal((count, 4)))
     q = q / torch.linalg.vector_norm(q, dim=-1, keepdim=True)
     w, v = q[:, :1, None], q[:, 1:]
-    K = _cross_matrix(v)
+    K = skew(v)
     return _eye_like(K) + 2 * w * K + 2 * (K @ K)
 
 
@@ -223,13 +245,6 @@ def _twice_axial(R: Tensor) -> Tensor:
         ],
         dim=-1,
     )
-
-
-def _cross_matrix(v: Tensor) -> Tensor:
-    """K with K u = v × u."""
-    x, y, z = v.unbind(-1)
-    zero = torch.zeros_like(x)
-    return torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], dim=-1).unflatten(-1, (3, 3))
 
 
 def _eye_like(matrix: Tensor) -> Tensor:

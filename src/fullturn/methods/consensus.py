@@ -16,9 +16,9 @@ from fullturn.geometry.cloud import Cloud
 from fullturn.methods.base import Estimate, Method, Traits
 from fullturn.pose.fine import refine_fine
 from fullturn.pose.levels import LevelPair
-from fullturn.pose.search import LIMIT_EDGE_RAD, SearchConfig, find_finalists
+from fullturn.pose.look import look
+from fullturn.pose.search import LIMIT_EDGE_RAD, SearchConfig
 from fullturn.pose.symmetry import symmetry_of_poses
-from fullturn.pose.verdict import judge
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Consensus(Method):
     """Search the full range of poses, verify, refine at full resolution. See docs/architecture.md.
 
     1. Finalists: distinct poses that fit, with what verification measured of each.
-    2. Verdict: probabilities, ranking.
+    2. Verdict: probabilities, ranking; where it doubts all of them, more finalists.
     3. Fine level: the answer is refined on all points.
     4. Symmetry: what the rivals have in common.
     """
@@ -67,15 +67,14 @@ class Consensus(Method):
         max_rotation_rad: float | None = None,
     ) -> Estimate:
         config = self.config
-        found = find_finalists(
+        begin = time.perf_counter()
+        found, judged = look(
             source,
             target,
             config=config.search,
             similarity=self.similarity,
             max_rotation_rad=max_rotation_rad,
         )
-        begin = time.perf_counter()
-        judged = judge(found.T_target_source, found.features, max_rotation_rad=max_rotation_rad)
         kept = [
             (index, probability)
             for rank, (index, probability) in enumerate(
@@ -95,7 +94,8 @@ class Consensus(Method):
         rivals = T[1:][probability[1:] >= config.rival_share * probability[0]]
         symmetry = symmetry_of_poses(T[0], rivals)
         end = time.perf_counter()
-        seconds = {**found.seconds, "verdict": judged_at - begin, "fine": end - judged_at}
+        verdict = judged_at - begin - sum(found.seconds.values())
+        seconds = {**found.seconds, "verdict": verdict, "fine": end - judged_at}
         return Estimate(T, probability, symmetry, seconds, found.notes)
 
     def _is_known(self, source: Cloud, target: Cloud) -> bool:

@@ -57,7 +57,7 @@ def refine_fine(
     for _ in range(rounds):
         residuals = measure_residuals(T, source, target, cutoff=cutoff, every=every)
         step = gauss_newton_step(residuals.H, residuals.g, damping=1e-6, largest=0.2)
-        T = T @ rigid.exp_se3(step)
+        T = T @ rigid.small_motion(step)
         moved = float(step.abs().max())
         enough = _SETTLED if every == 1 else _NEAR
         if moved < enough * residuals.sigma_normal and residuals.reach > 0.9 * cutoff:

@@ -9,7 +9,7 @@ from torch import Tensor
 from fullturn.geometry import rigid
 from fullturn.pose.grid import NearestGrid
 from fullturn.pose.planes import move_planes, squared_falloff
-from fullturn.pose.residuals import gauss_newton_step, plane_equations, skew
+from fullturn.pose.residuals import gauss_newton_step, plane_equations
 
 # Holds back sliding along a surface, where planes leave a pose free.
 _DAMPING = 0.01
@@ -57,7 +57,7 @@ def refine_poses(
         there = _adjoint(T)
         H = H + there.mT @ H_back @ there
         g = g + (there.mT @ g_back.unsqueeze(-1)).squeeze(-1)
-        T = _small_motion(gauss_newton_step(H, g, damping=_DAMPING)) @ T
+        T = rigid.small_motion(gauss_newton_step(H, g, damping=_DAMPING)) @ T
     return T
 
 
@@ -72,15 +72,6 @@ def _adjoint(T_target_source: Float[Tensor, "k 4 4"]) -> Float[Tensor, "k 6 6"]:
     ω × (R p + t) + v = R (Rᵀω × p + Rᵀ(v + ω × t)).
     """
     R_inverse = T_target_source[:, :3, :3].mT
-    shift = -R_inverse @ skew(T_target_source[:, :3, 3])
+    shift = -R_inverse @ rigid.skew(T_target_source[:, :3, 3])
     right = torch.cat([torch.zeros_like(shift), R_inverse], 1)
     return torch.cat([torch.cat([R_inverse, shift], 1), right], 2)
-
-
-def _small_motion(step: Float[Tensor, "k 6"]) -> Float[Tensor, "k 4 4"]:
-    """x → R x + v of steps (ω, v), R = (I − [ω/2]×)⁻¹ (I + [ω/2]×) (Cayley): it is cheap."""
-    half = 0.5 * step[:, :3]
-    K = skew(half)
-    scale = 2.0 / (1.0 + half.square().sum(-1))
-    R = torch.eye(3).to(K) + scale[:, None, None] * (K + K @ K)
-    return rigid.make(R, step[:, 3:])

@@ -6,6 +6,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from fullturn.geometry import rigid
+
 _Equations = tuple[Float[Tensor, "*batch 6 6"], Float[Tensor, "*batch 6"]]
 
 
@@ -62,7 +64,7 @@ def _point_part(at: Tensor, difference: Tensor, weight: Tensor) -> _Equations:
     eye = torch.eye(3, dtype=at.dtype, device=at.device)
     moment = (w * at).mT @ at
     trace = moment.diagonal(dim1=-2, dim2=-1).sum(-1)[..., None, None]
-    mean = skew((w * at).sum(-2))
+    mean = rigid.skew((w * at).sum(-2))
     total = w.sum(-2).unsqueeze(-1) * eye
     upper = torch.cat([trace * eye - moment, mean], -1)
     H = torch.cat([upper, torch.cat([mean.mT, total], -1)], -2)
@@ -85,11 +87,3 @@ def gauss_newton_step(
     eye = torch.eye(6, dtype=H.dtype, device=H.device)
     damped = H + (damping * size + torch.finfo(H.dtype).tiny ** 0.5) * eye
     return -torch.linalg.solve(damped, g.unsqueeze(-1)).squeeze(-1).clamp(-largest, largest)
-
-
-def skew(v: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
-    """[v]×, so that [v]× x = v × x."""
-    x, y, z = v.unbind(-1)
-    zero = torch.zeros_like(x)
-    rows = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], -1)
-    return rows.view(*v.shape[:-1], 3, 3)

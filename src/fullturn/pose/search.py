@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import torch
@@ -59,6 +59,11 @@ class SearchConfig:
     # What finds matches: the descriptor network, or handcrafted histograms.
     descriptor: Literal["network", "histogram"] = "network"
 
+    def wider(self, factor: int) -> SearchConfig:
+        """The same with so many times as many poses refined and measured."""
+        limits = ("modes", "matched_modes", "finalists", "matched_finalists")
+        return replace(self, **{name: factor * getattr(self, name) for name in limits})
+
 
 @dataclass(frozen=True, eq=False)
 class Finalists:
@@ -87,33 +92,132 @@ def find_finalists(
     `max_rotation_rad` is the largest rotation that is possible, where somebody knows one. Poses
     `given` from elsewhere are measured as they are, with those found, and come first.
     """
-    clock = _Clock()
-    coarse, fine = coarse_and_fine(source, target, config)
-    clock.lap("levels")
-    learned = network_similarity(coarse) if config.descriptor == "network" else None
-    notes: tuple[str, ...] = ()
-    if learned is None and config.descriptor == "network":
-        notes = ("no descriptor weights in the package: matched by handcrafted histograms",)
-    alike = learned if similarity is None else similarity(coarse)
-    if alike is None:
-        alike = histogram_similarity(coarse) if learned is None else learned
-    clock.lap("describe")
-    matched = _matched(coarse, alike)
-    clock.lap("match")
-    T = _hypothesize(matched, config, spacing=coarse.spacing, max_rotation_rad=max_rotation_rad)
-    clock.lap("hypothesize")
-    T = _refine_on_grids(coarse, matched, T, config, clock)
-    T = _within(T, max_rotation_rad, slack_rad=LIMIT_EDGE_RAD)
-    if fine is not coarse:
-        T = _within(_polish(fine, T), max_rotation_rad, slack_rad=LIMIT_EDGE_RAD)
-        clock.lap("refine")
-    if given is not None:
-        T = torch.cat([given.to(T), T])
-    features, signals = _measured(T, fine, coarse, (source, target), learned)
-    clock.lap("verify")
-    T = T.double()
-    T = rigid.make(nearest_rotation(T[:, :3, :3]), T[:, :3, 3])
-    return Finalists(T, features, signals, fine.spacing, clock.seconds, notes)
+    search = Search(
+        source, target, config=config, similarity=similarity, max_rotation_rad=max_rotation_rad
+    )
+    return search.finalists(config, given=given)
+
+
+class Search:
+    """Two clouds and all hypotheses of their pose, out of which finalists are chosen.
+
+    Arguments as of `find_finalists`.
+    """
+
+    def __init__(
+        self,
+        source: Cloud,
+        target: Cloud,
+        *,
+        config: SearchConfig,
+        similarity: Similarity | None = None,
+        max_rotation_rad: float | None = None,
+    ) -> None:
+        self._clouds, self._max_rotation_rad = (source, target), max_rotation_rad
+        self._clock = clock = _Clock()
+        self._coarse, self._fine = coarse, _ = coarse_and_fine(source, target, config)
+        clock.lap("levels")
+        self._learned = network_similarity(coarse) if config.descriptor == "network" else None
+        self._notes: tuple[str, ...] = ()
+        if self._learned is None and config.descriptor == "network":
+            self._notes = (
+                "no descriptor weights in the package: matched by handcrafted histograms",
+            )
+        alike = self._learned if similarity is None else similarity(coarse)
+        if alike is None:
+            alike = histogram_similarity(coarse) if self._learned is None else self._learned
+        clock.lap("describe")
+        self._matched = _matched(coarse, alike)
+        clock.lap("match")
+        T = _hypothesize(
+            self._matched, config, spacing=coarse.spacing, max_rotation_rad=max_rotation_rad
+        )
+        clock.lap("hypothesize")
+        h, some = coarse.spacing, _one_in(coarse.source.points, about=_SCORED_POINTS)
+        self._grids = _grids(coarse, band=3 * h)
+        overlap = hypotheses.score_poses(
+            coarse.source.points[some],
+            coarse.source.area[some],
+            self._grids[1],
+            T,
+            truncation=2 * h,
+        )
+        self._hypotheses = self._scored(T, overlap)
+        clock.lap("score")
+
+    def finalists(
+        self, config: SearchConfig, *, given: Float[Tensor, "g 4 4"] | None = None
+    ) -> Finalists:
+        """As many as the configuration says; looking wider takes up no more than what is new."""
+        T = self._refined_on_grids(config)
+        T = _within(T, self._max_rotation_rad, slack_rad=LIMIT_EDGE_RAD)
+        if self._fine is not self._coarse:
+            T = _polish(self._fine, T)
+            T = _within(T, self._max_rotation_rad, slack_rad=LIMIT_EDGE_RAD)
+        self._clock.lap("refine")
+        if given is not None:
+            T = torch.cat([given.to(T), T])
+        features, signals = _measured(T, self._fine, self._coarse, self._clouds, self._learned)
+        self._clock.lap("verify")
+        T = T.double()
+        T = rigid.make(nearest_rotation(T[:, :3, :3]), T[:, :3, 3])
+        seconds = dict(self._clock.seconds)
+        return Finalists(T, features, signals, self._fine.spacing, seconds, self._notes)
+
+    def _refined_on_grids(self, config: SearchConfig) -> Tensor:
+        pair, grids = self._coarse, self._grids
+        h, source, target = pair.spacing, pair.source.points, pair.target.points
+        T = self._hypotheses.chosen(
+            radius=config.mode_radius * h, limits=(config.modes, config.matched_modes)
+        )
+        T = refine_poses(
+            T,
+            source[_one_in(source, about=_REFINED_POINTS)],
+            target[_one_in(target, about=_REFINED_POINTS)],
+            *grids,
+            scales=(3 * h,) * 3 + (2.5 * h,) * 3 + (2 * h,) * 3,
+        )
+        T = self._scored(T, _two_sided(pair, grids, T, truncation=1.5 * h)).chosen(
+            radius=h,
+            limits=(config.finalists, config.matched_finalists),
+            least_share=config.mode_share,
+        )
+        T = refine_poses(T, source, target, *grids, scales=(1.5 * h,) * 3 + (1.2 * h,) * 4)
+        overlap = _two_sided(pair, grids, T, truncation=h)
+        kept = hypotheses.distinct(
+            hypotheses.pose_coordinates(T, source), overlap, radius=0.2 * h, limit=len(T)
+        )
+        return T[kept[overlap[kept] >= config.finalist_share * overlap.amax()]]
+
+    def _scored(self, T: Tensor, overlap: Tensor) -> _Scored:
+        pair = self._coarse
+        share = hypotheses.matched_share(self._matched, T, truncation=2 * pair.spacing)
+        merit = share / (overlap + _LITTLE_OVERLAP).sqrt()
+        return _Scored(T, hypotheses.pose_coordinates(T, pair.source.points), overlap, merit)
+
+
+@dataclass(frozen=True, eq=False)
+class _Scored:
+    """Poses, how much overlaps, and how many matches they bring together for that overlap.
+
+    Where clouds overlap little, wrong poses overlap more than the right one; that matches lie on
+    one another by chance grows with the overlap, too.
+    """
+
+    T: Float[Tensor, "k 4 4"]
+    coordinates: Float[Tensor, "k c"]
+    overlap: Float[Tensor, " k"]
+    merit: Float[Tensor, " k"]
+
+    def chosen(
+        self, *, radius: float, limits: tuple[int, int], least_share: float = 0.0
+    ) -> Float[Tensor, "m 4 4"]:
+        """Distinct poses: those of most overlap, and those that match best for their overlap."""
+        overlap = self.overlap
+        most = hypotheses.distinct(self.coordinates, overlap, radius=radius, limit=limits[0])
+        most = most[overlap[most] >= least_share * overlap.amax()]
+        matching = hypotheses.distinct(self.coordinates, self.merit, radius=radius, limit=limits[1])
+        return self.T[torch.cat([most, matching]).unique()]
 
 
 def coarse_and_fine(
@@ -190,70 +294,6 @@ def _within(T: Tensor, max_rotation_rad: float | None, *, slack_rad: float) -> T
     T = T[angle.argmin()][None]
     R = rigid.exp_so3(rigid.log_so3(T[:, :3, :3]) * (max_rotation_rad / angle.min()))
     return rigid.make(R, T[:, :3, 3])
-
-
-def _refine_on_grids(
-    pair: LevelPair,
-    matched: hypotheses.MatchedPoints,
-    T: Tensor,
-    config: SearchConfig,
-    clock: _Clock,
-) -> Tensor:
-    h, source, target = pair.spacing, pair.source.points, pair.target.points
-    grids = _grids(pair, band=3 * h)
-    some = _one_in(source, about=_SCORED_POINTS)
-    overlap = hypotheses.score_poses(
-        source[some], pair.source.area[some], grids[1], T, truncation=2 * h
-    )
-    limits = (config.modes, config.matched_modes)
-    T = T[_two_choices(pair, matched, T, overlap, radius=config.mode_radius * h, limits=limits)]
-    clock.lap("score")
-    T = refine_poses(
-        T,
-        source[_one_in(source, about=_REFINED_POINTS)],
-        target[_one_in(target, about=_REFINED_POINTS)],
-        *grids,
-        scales=(3 * h,) * 3 + (2.5 * h,) * 3 + (2 * h,) * 3,
-    )
-    overlap = _two_sided(pair, grids, T, truncation=1.5 * h)
-    limits = (config.finalists, config.matched_finalists)
-    T = T[
-        _two_choices(
-            pair, matched, T, overlap, radius=h, limits=limits, least_share=config.mode_share
-        )
-    ]
-    T = refine_poses(T, source, target, *grids, scales=(1.5 * h,) * 3 + (1.2 * h,) * 4)
-    overlap = _two_sided(pair, grids, T, truncation=h)
-    kept = hypotheses.distinct(
-        hypotheses.pose_coordinates(T, source), overlap, radius=0.2 * h, limit=len(T)
-    )
-    T = T[kept[overlap[kept] >= config.finalist_share * overlap.amax()]]
-    clock.lap("refine")
-    return T
-
-
-def _two_choices(
-    pair: LevelPair,
-    matched: hypotheses.MatchedPoints,
-    T: Tensor,
-    overlap: Tensor,
-    *,
-    radius: float,
-    limits: tuple[int, int],
-    least_share: float = 0.0,
-) -> Tensor:
-    """Rows of distinct poses: those of most overlap, and those that match best for their overlap.
-
-    Where clouds overlap little, wrong poses overlap more than the right one; that matches lie on
-    one another by chance grows with the overlap, too.
-    """
-    coordinates = hypotheses.pose_coordinates(T, pair.source.points)
-    most = hypotheses.distinct(coordinates, overlap, radius=radius, limit=limits[0])
-    most = most[overlap[most] >= least_share * overlap.amax()]
-    share = hypotheses.matched_share(matched, T, truncation=2 * pair.spacing)
-    merit = share / (overlap + _LITTLE_OVERLAP).sqrt()
-    matching = hypotheses.distinct(coordinates, merit, radius=radius, limit=limits[1])
-    return torch.cat([most, matching]).unique()
 
 
 def _one_in(points: Tensor, *, about: int) -> slice:

@@ -45,6 +45,7 @@ class Judged:
 
     index: list[int]  # into the finalists
     probability: list[float]  # of each; they sum to at most 1
+    none: float  # the probability that none of the finalists is right
 
 
 def verdict_inputs(
@@ -145,7 +146,8 @@ def judge(
     log_p = log_probabilities(inputs, weights)
     if max_rotation_rad is not None:
         log_p[:-1] += log_rotation_prior(T_target_source.to(log_p), max_rotation_rad)
-    probability = log_p.softmax(-1)[:-1]
+    probability = log_p.softmax(-1)
+    none, probability = float(probability[-1]), probability[:-1]
     same = same_pose(T_target_source, T_target_source)
     free = torch.ones(len(same), dtype=torch.bool, device=same.device)
     index, listed = [], []
@@ -156,7 +158,7 @@ def judge(
         listed.append(float(merged[best]))
         free &= ~same[best]
         free[best] = False
-    return Judged(index, listed)
+    return Judged(index, listed, none)
 
 
 @cache

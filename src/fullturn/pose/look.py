@@ -1,0 +1,31 @@
+"""The search and the verdict on what it found; a second, wider look where that is doubt."""
+
+from __future__ import annotations
+
+from fullturn.geometry.cloud import Cloud
+from fullturn.pose.search import Finalists, Search, SearchConfig
+from fullturn.pose.similarity import Similarity
+from fullturn.pose.verdict import Judged, judge
+
+# Probability of "none of them" above which more poses are looked at, and how many times as many.
+_DOUBT, _WIDER = 0.15, 4
+
+
+def look(
+    source: Cloud,
+    target: Cloud,
+    *,
+    config: SearchConfig,
+    similarity: Similarity | None = None,
+    max_rotation_rad: float | None = None,
+) -> tuple[Finalists, Judged]:
+    """The finalists, and how probable each one is; arguments as of `search.find_finalists`."""
+    search = Search(
+        source, target, config=config, similarity=similarity, max_rotation_rad=max_rotation_rad
+    )
+    for width in (config, config.wider(_WIDER)):
+        found = search.finalists(width)
+        judged = judge(found.T_target_source, found.features, max_rotation_rad=max_rotation_rad)
+        if judged.none <= _DOUBT:
+            break
+    return found, judged
