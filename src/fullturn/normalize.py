@@ -73,19 +73,30 @@ def normalized_clouds(
 
 
 def normalization_of(source: np.ndarray, target: np.ndarray) -> Normalization:
-    """Centers are the means; the length is the larger of the two clouds' radii.
-
-    A radius is the 99th percentile of the distances to the mean, so that a few stray points don't
-    shrink the rest. Where it is small beside the largest distance, copies count once: most of the
-    points may coincide.
-    """
-    source_center, source_radius = _center_and_radius(source)
-    target_center, target_radius = _center_and_radius(target)
+    """Centers are the means; the length is the larger of the two clouds' radii."""
+    source_center, source_radius = center_and_radius(source)
+    target_center, target_radius = center_and_radius(target)
     ratio = source_radius / target_radius
     notes: tuple[str, ...] = ()
     if not 1.0 / _UNLIKE < ratio < _UNLIKE:
         notes = (f"the source is {ratio:.3g} times as large as the target: is the unit the same?",)
     return Normalization(source_center, target_center, max(source_radius, target_radius), notes)
+
+
+def center_and_radius(points: np.ndarray) -> tuple[np.ndarray, float]:
+    """The mean (3,) of points (n, 3) and their radius, in their unit.
+
+    The radius is the 99th percentile of the distances to the mean, so that a few stray points don't
+    shrink the rest. Where it is small beside the largest distance, copies count once: most of the
+    points may coincide.
+    """
+    # Taking one point off first keeps the mean exact far from the origin.
+    center = points[0] + (points - points[0]).mean(axis=0)
+    radius, largest = _radii(points, center)
+    if radius < _DUBIOUS * largest:
+        distinct = np.unique(points, axis=0)
+        radius, _ = _radii(distinct, distinct.mean(axis=0))
+    return center, radius
 
 
 def _cloud(
@@ -95,16 +106,6 @@ def _cloud(
         return torch.from_numpy((values - center) / length)
 
     return Cloud(seen(points), None if viewpoint is None else seen(viewpoint))
-
-
-def _center_and_radius(points: np.ndarray) -> tuple[np.ndarray, float]:
-    # Taking one point off first keeps the mean exact far from the origin.
-    center = points[0] + (points - points[0]).mean(axis=0)
-    radius, largest = _radii(points, center)
-    if radius < _DUBIOUS * largest:
-        distinct = np.unique(points, axis=0)
-        radius, _ = _radii(distinct, distinct.mean(axis=0))
-    return center, radius
 
 
 def _radii(points: np.ndarray, center: np.ndarray) -> tuple[float, float]:
