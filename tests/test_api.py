@@ -146,6 +146,32 @@ def test_a_method_that_states_no_probability_gets_the_verdict() -> None:
     assert fullturn.register(CLOUD, other, method="icp-point").success_probability < 0.2
 
 
+def test_the_verdict_hears_of_a_largest_rotation(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A bar fits turned by half, too, which a limit rules out."""
+    rng = np.random.default_rng(3)
+    bar = rng.uniform(-1, 1, (400, 3)) * [1.0, 0.3, 0.1]
+
+    class Still(Method):
+        name, summary, reference = "still", "the identity, with nothing said", "these tests"
+        traits = Traits(limits_rotation=True)
+
+        def estimate(
+            self,
+            source: Cloud,
+            target: Cloud,
+            *,
+            rng: np.random.Generator,
+            max_rotation_rad: float | None = None,
+        ) -> Estimate:
+            return Estimate(torch.eye(4, dtype=torch.float64)[None])
+
+    monkeypatch.setattr(api, "get", lambda _: Still)
+    again = rng.uniform(-1, 1, (400, 3)) * [1.0, 0.3, 0.1]
+    free = fullturn.register(bar, again)
+    limited = fullturn.register(bar, again, max_rotation_deg=30)
+    assert limited.success_probability > free.success_probability + 0.1
+
+
 def test_the_verdict_leaves_the_methods_own_order(monkeypatch: pytest.MonkeyPatch) -> None:
     class Reversed(Recorder):
         def estimate(self, source: Cloud, target: Cloud, *, rng: np.random.Generator) -> Estimate:

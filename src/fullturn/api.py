@@ -12,13 +12,12 @@ from fullturn.geometry.cloud import Cloud
 from fullturn.io import LoadedCloud, load_cloud
 from fullturn.io.check import as_viewpoint
 from fullturn.methods.base import Estimate
-from fullturn.methods.check import check_max_rotation, run_method
+from fullturn.methods.check import check_max_rotation, rotation_limit_rad, run_method
 from fullturn.methods.registry import get, methods
 from fullturn.normalize import normalized_clouds
 from fullturn.pose.explain import explain, pose_overlap
 from fullturn.pose.search import find_finalists
-from fullturn.pose.verdict import load_weights, log_probabilities, same_pose, verdict_inputs
-from fullturn.pose.verify import FINE
+from fullturn.pose.verdict import finalist_probabilities, same_pose
 from fullturn.result import Alternative, Registration, Symmetry
 from fullturn.threads import torch_threads
 
@@ -79,7 +78,8 @@ def register(
     )
     estimated = time.perf_counter()
 
-    probabilities = _probabilities(source_seen, target_seen, estimate)
+    limit = rotation_limit_rad(max_rotation_deg)
+    probabilities = _probabilities(source_seen, target_seen, estimate, limit)
     judged = time.perf_counter()
 
     T_best, *T_others = estimate.T_target_source
@@ -120,7 +120,9 @@ def _load(thing: Any, role: str) -> LoadedCloud:
     return load_cloud(thing, name=None if isinstance(thing, LoadedCloud) else role)
 
 
-def _probabilities(source: Cloud, target: Cloud, estimate: Estimate) -> list[float]:
+def _probabilities(
+    source: Cloud, target: Cloud, estimate: Estimate, max_rotation_rad: float | None
+) -> list[float]:
     """What the method states of each of its poses; where it states none, the verdict on them.
 
     The verdict is asked about them among the poses that the default search finds: whether a pose is
@@ -129,14 +131,14 @@ def _probabilities(source: Cloud, target: Cloud, estimate: Estimate) -> list[flo
     if estimate.success_probability is not None:
         return [float(p) for p in estimate.success_probability]
     T = estimate.T_target_source
-    found = find_finalists(source, target, given=T)
+    found = find_finalists(source, target, given=T, max_rotation_rad=max_rotation_rad)
     rivals = ~same_pose(found.T_target_source.to(T), T).any(1)
     rivals[: len(T)] = True
-    features = found.features[rivals]
     # The method's own order stays: its best pose is its answer, whatever the verdict thinks.
-    inputs = verdict_inputs(features.double(), fine=FINE)
-    log_probability = log_probabilities(inputs, load_weights())
-    return [float(p) for p in log_probability.exp()[: len(T)]]
+    stated = finalist_probabilities(
+        found.T_target_source[rivals], found.features[rivals], max_rotation_rad=max_rotation_rad
+    )
+    return [float(p) for p in stated[: len(T)]]
 
 
 def _symmetry(found: CloudSymmetry | None) -> Symmetry | None:

@@ -36,7 +36,7 @@ class Registration:
     """
 
     T_target_source: np.ndarray  # (4, 4) float64
-    success_probability: float  # that this pose is within 5° and 5 % of the radius of the truth
+    success_probability: float  # that the truth is within 5° and 5 % of the larger radius
     overlap: tuple[float, float]  # (source share, target share) that finds a partner
     alternatives: tuple[Alternative, ...]  # ranked, best first, without the answer itself
     symmetry: Symmetry | None  # why alternatives exist, where a symmetry is the reason

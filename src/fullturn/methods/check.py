@@ -33,10 +33,17 @@ def run_method(
         InputError: the method returned something else than an estimate.
     """
     told: dict[str, Any] = {}
-    # 180° is no limit.
-    if method.traits.limits_rotation and max_rotation_deg is not None and max_rotation_deg < 180.0:
-        told["max_rotation_rad"] = math.radians(max_rotation_deg)
+    limit = rotation_limit_rad(max_rotation_deg)
+    if method.traits.limits_rotation and limit is not None:
+        told["max_rotation_rad"] = limit
     return checked_estimate(method.estimate(source, target, rng=rng, **told), method.name)
+
+
+def rotation_limit_rad(max_rotation_deg: float | None) -> float | None:
+    """The largest possible rotation; None where none is known, and for 180°, which is no limit."""
+    if max_rotation_deg is None or max_rotation_deg >= 180.0:
+        return None
+    return math.radians(max_rotation_deg)
 
 
 def check_max_rotation(max_rotation_deg: Any, method: type[Method]) -> float | None:

@@ -31,7 +31,6 @@ class CloudSymmetry:
     """Rotations about one axis that leave the surface as it is."""
 
     axis: np.ndarray  # (3,) unit vector, source frame; the first non-zero entry is positive
-    center: np.ndarray  # (3,) a point of the axis, the nearest to the origin
     order: int  # n-fold; 0 where any angle will do
 
 
@@ -46,22 +45,22 @@ def symmetry_of_poses(
     rivals share an axis, or their angles are no symmetry's.
     """
     motions = [rigid.invert(T_best) @ T for T in T_rivals]
-    turns = [(m, *_axis_angle(m)) for m in motions]
-    turns = [(m, axis, angle) for m, axis, angle in turns if angle > math.radians(5.0)]
+    turns = [_axis_angle(motion) for motion in motions]
+    turns = [(axis, angle) for axis, angle in turns if angle > math.radians(5.0)]
     if not turns:
         return None
     cosine = math.cos(math.radians(_SAME_AXIS_DEG))
     groups = [
-        [turn for turn in turns if abs(float(turn[1] @ axis)) > cosine] for _, axis, _ in turns
+        [turn for turn in turns if abs(float(turn[0] @ axis)) > cosine] for axis, _ in turns
     ]
     shared = max(groups, key=len)
     if 2 * len(shared) < len(turns):
         return None
-    motion, axis, _ = shared[0]
-    order = _order([math.degrees(angle) for _, _, angle in shared])
+    order = _order([math.degrees(angle) for _, angle in shared])
     if order is None:
         return None
-    return CloudSymmetry(axis.numpy(force=True), _axis_point(motion, axis), order)
+    axis, _ = shared[0]
+    return CloudSymmetry(axis.numpy(force=True), order)
 
 
 def cloud_symmetries(cloud: Cloud) -> Float[Tensor, "k 4 4"]:
@@ -91,16 +90,6 @@ def _axis_angle(motion: Tensor) -> tuple[Tensor, float]:
     axis = vector / max(angle, 1e-12)
     leading = axis[torch.nonzero(axis.abs() > 1e-6)[0, 0]] if angle > 1e-9 else axis[0]
     return (axis if leading >= 0 else -axis), angle
-
-
-def _axis_point(motion: Tensor, axis: Tensor) -> np.ndarray:
-    """The point of the rotation axis that is nearest to the origin."""
-    R, t = motion[:3, :3], motion[:3, 3]
-    across = t - (t @ axis) * axis
-    eye = torch.eye(3, dtype=R.dtype, device=R.device)
-    point = torch.linalg.lstsq((eye - R).cpu(), across.cpu()[:, None], driver="gelsd").solution
-    solved = point[:, 0].to(axis)
-    return (solved - (solved @ axis) * axis).numpy(force=True)
 
 
 def _order(angles_deg: list[float]) -> int | None:

@@ -16,7 +16,8 @@ from fullturn.errors import FullturnError
 from fullturn.geometry import rigid
 from fullturn.pose.verify import FEATURES, FINE
 
-# What "the same pose" and "right" mean: within 5° and 5 % of the radius, at the source's mean.
+# What "the same pose" and "right" mean: within 5° and 5 % of the larger cloud's radius, at the
+# source's mean.
 TOLERANCE_RAD = math.radians(5.0)
 TOLERANCE_OFFSET = 0.05
 _STEPS = (0.03, 0.1, 0.3)
@@ -129,6 +130,23 @@ def log_rotation_prior(
     return math.log((L - math.sin(L)) / L) - torch.log1p(-angle.cos())
 
 
+def finalist_probabilities(
+    T_target_source: Float[Tensor, "k 4 4"],
+    features: Float[Tensor, "k f"],
+    *,
+    max_rotation_rad: float | None = None,
+) -> Float[Tensor, "k+1"]:
+    """Of each finalist to be the right one and, last, of none; they sum to 1.
+
+    `max_rotation_rad`: the largest rotation that is possible, where somebody knows one.
+    """
+    inputs = verdict_inputs(features.double(), fine=FINE)
+    log_p = log_probabilities(inputs, load_weights())
+    if max_rotation_rad is not None:
+        log_p[:-1] += log_rotation_prior(T_target_source.to(log_p), max_rotation_rad)
+    return log_p.softmax(-1)
+
+
 def judge(
     T_target_source: Float[Tensor, "k 4 4"],
     features: Float[Tensor, "k f"],
@@ -138,16 +156,10 @@ def judge(
     """Rank the finalists by the probability that the truth lies within the tolerance of each.
 
     That probability is the sum over the finalists within the tolerance. Taken greedily: once a
-    pose is listed, those that it speaks for are not listed again. `max_rotation_rad`: the largest
-    rotation that is possible, where somebody knows one.
+    pose is listed, those that it speaks for are not listed again.
     """
-    weights = load_weights()
-    inputs = verdict_inputs(features.double(), fine=FINE)
-    log_p = log_probabilities(inputs, weights)
-    if max_rotation_rad is not None:
-        log_p[:-1] += log_rotation_prior(T_target_source.to(log_p), max_rotation_rad)
-    probability = log_p.softmax(-1)
-    none, probability = float(probability[-1]), probability[:-1]
+    shares = finalist_probabilities(T_target_source, features, max_rotation_rad=max_rotation_rad)
+    probability, none = shares[:-1], float(shares[-1])
     same = same_pose(T_target_source, T_target_source)
     free = torch.ones(len(same), dtype=torch.bool, device=same.device)
     index, listed = [], []
