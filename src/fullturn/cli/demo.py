@@ -28,11 +28,10 @@ def demo(
     import numpy as np
 
     from fullturn.api import register
-    from fullturn.cli.render import print_table
+    from fullturn.cli.render import draw, print_table
     from fullturn.data.procedural import dog
     from fullturn.data.scan import scan_pair
     from fullturn.data.sensor import Sensor
-    from fullturn.errors import DependencyError
     from fullturn.evaluation.metrics import mean_point_distance, rotation_error_deg
     from fullturn.io import save_cloud, write_transform
     from fullturn.io.atomic import make_folder
@@ -69,7 +68,4 @@ def demo(
     write_transform(out / "pose.txt", T)
     write_report(out / "report.html", pair.source, pair.target, result, **names)
     typer.echo(f"Open {out / 'report.html'} in a browser to turn the result around.")
-    try:
-        save_figure(out / "demo.png", pair.source, pair.target, result)
-    except DependencyError as error:
-        typer.echo(f"No picture was drawn: {error}")
+    draw(out / "demo.png", lambda path: save_figure(path, pair.source, pair.target, result))

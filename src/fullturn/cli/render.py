@@ -5,12 +5,15 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
 import numpy as np
+import typer
 from rich.console import Console
 from rich.table import Table as RichTable
 from rich.text import Text
 
+from fullturn.errors import DependencyError
 from fullturn.evaluation.layout import Table
 from fullturn.result import Registration
 from fullturn.viz.tables import probability
@@ -51,6 +54,16 @@ def titled_rows() -> tuple[RichTable, Callable[[str, str], None]]:
         table.add_row(title, Text(text))  # Text: a name may hold brackets that are no markup
 
     return table, row
+
+
+def draw(path: Path, save: Callable[[Path], None]) -> None:
+    """Save a picture and name it, or say why there is none: nothing else depends on it."""
+    try:
+        save(path)
+    except DependencyError as error:
+        typer.echo(f"No picture was drawn: {error}")
+    else:
+        typer.echo(f"The picture: {path}")
 
 
 def print_json(result: Registration, *, source_name: str, target_name: str) -> None:

@@ -50,9 +50,9 @@ def scan(
 
     import numpy as np
 
+    from fullturn.cli.render import draw
     from fullturn.data.sensor import Sensor
     from fullturn.data.views import view_mesh
-    from fullturn.errors import DependencyError
     from fullturn.io.atomic import make_folder, write_atomic
     from fullturn.io.save import save_cloud
     from fullturn.progress import progress_bar
@@ -99,17 +99,12 @@ def scan(
         f"{views - len(blind)} of {views} views have points, {min(counts):,} to {max(counts):,} "
         f"each; clouds and poses.json: {out}"
     )
-    try:
-        save_contact_sheet(
-            out / "contact_sheet.png",
-            depths,
-            focals=[entry["focal"] for entry in entries],
-            labels=[f"{entry['name']}: {entry['points']:,}" for entry in entries],
-        )
-    except DependencyError as error:
-        typer.echo(f"No picture was drawn: {error}")
-    else:
-        typer.echo(f"The picture: {out / 'contact_sheet.png'}")
+    focals = [entry["focal"] for entry in entries]
+    labels = [f"{entry['name']}: {entry['points']:,}" for entry in entries]
+    draw(
+        out / "contact_sheet.png",
+        lambda path: save_contact_sheet(path, depths, focals=focals, labels=labels),
+    )
 
 
 def _entry(view: RangeView) -> dict[str, Any]:

@@ -39,13 +39,11 @@ def study(
     if name not in STUDIES:
         raise typer.BadParameter(f"NAME: expected one of {', '.join(STUDIES)}; got {name!r}")
 
-    from rich.console import Console
-    from rich.progress import Progress
-
+    from fullturn.cli.render import draw
     from fullturn.data.open import open_shapes
-    from fullturn.errors import DependencyError
     from fullturn.evaluation.robustness import StudyConfig, by_panel, study_robustness, to_csv
     from fullturn.io.atomic import make_folder, write_atomic
+    from fullturn.progress import progress_bar
     from fullturn.viz.robustness import save_robustness
 
     make_folder(out)
@@ -53,20 +51,10 @@ def study(
     source = open_shapes(shapes)
     config = StudyConfig(neighbors=neighbors, jitter=jitter)
     total = min(count, len(source))
-    with Progress(console=Console(stderr=True)) as progress:
-        task = progress.add_task("shapes", total=total)
+    with progress_bar("shapes", total) as advance:
         rows = study_robustness(
-            source,
-            count=count,
-            seed=seed,
-            config=config,
-            on_shape=lambda number, _: progress.update(task, completed=number),
+            source, count=count, seed=seed, config=config, on_shape=lambda *_: advance(1)
         )
     write_atomic(out / "robustness.csv", to_csv(rows))
     typer.echo(f"{total} shapes: {out / 'robustness.csv'}")
-    try:
-        save_robustness(out / "robustness.png", by_panel(rows))
-    except DependencyError as error:
-        typer.echo(f"No picture was drawn: {error}")
-    else:
-        typer.echo(f"The picture: {out / 'robustness.png'}")
+    draw(out / "robustness.png", lambda path: save_robustness(path, by_panel(rows)))

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fullturn.errors import DependencyError, InputError
+from fullturn.errors import InputError
 from fullturn.training.log import SCORES, STEPS, read_log
+from fullturn.viz.canvas import new_figure
 from fullturn.viz.curves import COLORS, save_curves
 from fullturn.viz.figures import INK, MUTED
 
@@ -31,18 +32,10 @@ def save_loss_curves(path: Path, out: Path, *, title: str) -> None:
 
 def draw_loss_curves(out: Path, *, title: str) -> Figure:
     """Two panels: each loss by step, and the mean and median error by step."""
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise DependencyError(
-            'a picture needs matplotlib, which is not installed; pip install "fullturn[viz]"'
-        ) from error
     rows = read_log(out / STEPS)
     if not rows:
         raise InputError(f"expected at least one step in {out / STEPS}, found none; train first")
-    figure = Figure(figsize=(9.2, 3.2), facecolor="white", layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(figsize=(9.2, 3.2), layout="constrained")
     left, right = figure.subplots(1, 2)
     names = [n for n in rows[0] if n not in ("step", "pairs", "rate", "gradient", "seconds")]
     # A single loss with weight 1 is the sum, too.

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fullturn.errors import DependencyError, InputError
+from fullturn.errors import InputError
+from fullturn.viz.canvas import new_figure
 from fullturn.viz.figures import MUTED, write_figure
 
 if TYPE_CHECKING:
@@ -55,14 +56,6 @@ def draw_contact_sheet(
             "expected at least one depth image, and one focal length and one label for each, got "
             f"{len(depths)}, {len(focals)} and {len(labels)}"
         )
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise DependencyError(
-            'a picture needs matplotlib, which is not installed; pip install "fullturn[viz]"'
-        ) from error
-
     columns = math.ceil(math.sqrt(1.4 * len(depths)))
     rows = math.ceil(len(depths) / columns)
     side = max(LEAST_TILE, min(max(max(d.shape) for d in depths), SHEET_PIXELS // columns))
@@ -74,8 +67,7 @@ def draw_contact_sheet(
         tile = _fitted(shade(depth, focal), side)
         sheet[top : top + len(tile), left : left + tile.shape[1]] = tile
 
-    figure = Figure(figsize=(width / _DPI, height / _DPI), dpi=_DPI, facecolor="white")
-    FigureCanvasAgg(figure)
+    figure = new_figure(figsize=(width / _DPI, height / _DPI), dpi=_DPI)
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     axes.imshow(sheet, interpolation="nearest", aspect="auto", extent=(0, width, height, 0))
     axes.set_axis_off()

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fullturn.errors import DependencyError, InputError
+from fullturn.errors import InputError
+from fullturn.viz.canvas import new_figure
 from fullturn.viz.figures import INK, MUTED, write_figure
 
 if TYPE_CHECKING:
@@ -148,21 +149,14 @@ def _styles(sets: Iterable[Mapping[str, object]]) -> dict[str, dict]:
 
 
 def _panels(count: int) -> tuple[Figure, Sequence[Axes]]:
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise DependencyError(
-            'a picture needs matplotlib, which is not installed; pip install "fullturn[viz]"'
-        ) from error
+    figure = new_figure()
     if count == 0:
         raise InputError("expected at least one set with pairs to draw, got none; pass one")
     columns = 1 if count == 1 else 2 if count in (2, 4) else 3
     rows = math.ceil(count / columns)
     width, height = PANEL_INCHES
-    figure = Figure(figsize=(width * columns, height * rows + 0.5), facecolor="white")
-    FigureCanvasAgg(figure)
     inches = height * rows + 0.5
+    figure.set_size_inches(width * columns, inches)
     grid = {"left": 0.5 / (width * columns), "right": 1.0 - 1.25 / (width * columns)}
     grid |= {"bottom": 0.35 / inches, "top": 1.0 - 0.85 / inches, "wspace": 0.48, "hspace": 0.38}
     spots = figure.subplots(rows, columns, squeeze=False, gridspec_kw=grid).ravel()

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fullturn.errors import DependencyError
 from fullturn.io.atomic import check_output, write_atomic
+from fullturn.viz.canvas import new_figure
 from fullturn.viz.scene import angle_axis, apply, make_scene, viewing_axes
 from fullturn.viz.tables import probability
 
@@ -81,15 +81,9 @@ def draw_figure(
 
     `title` replaces the line that says what came out.
     """
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.colors import LinearSegmentedColormap, to_rgb
-        from matplotlib.figure import Figure
-        from matplotlib.lines import Line2D
-    except ImportError as error:
-        raise DependencyError(
-            'a picture needs matplotlib, which is not installed; pip install "fullturn[viz]"'
-        ) from error
+    figure = new_figure()
+    from matplotlib.colors import LinearSegmentedColormap, to_rgb
+    from matplotlib.lines import Line2D
 
     scene = make_scene(source_points, target_points, registration, max_points=MAX_POINTS)
     moved = apply(registration.T_target_source, scene.source)
@@ -109,8 +103,7 @@ def draw_figure(
     height = max(float(np.ptp(points[:, 1])) for points, _ in panels.values())
     # The panels fill the width; a tall or wide shape is cut short, for a page must hold it.
     inches = min(max(11.6 * 1.04 * height / sum(widths), 2.0), 4.2)
-    figure = Figure(figsize=(13.0, inches + 1.3), facecolor="white")
-    FigureCanvasAgg(figure)
+    figure.set_size_inches(13.0, inches + 1.3)
     grid = {"width_ratios": widths, "wspace": 0.12, "left": 0.02, "right": 0.98}
     grid |= {"top": 1.0 - 0.85 / (inches + 1.3), "bottom": 0.45 / (inches + 1.3)}
     spots = figure.subplots(1, 3, gridspec_kw=grid)

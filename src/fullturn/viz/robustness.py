@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from fullturn.errors import DependencyError, InputError
+from fullturn.errors import InputError
+from fullturn.viz.canvas import new_figure
 from fullturn.viz.figures import INK, MUTED, write_figure
 
 if TYPE_CHECKING:
@@ -85,16 +86,7 @@ def draw_robustness(panels: Panels) -> Figure:
 
     `panels[panel][feature]` has the rows x, value, low, high, one column a point of the curve.
     """
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise DependencyError(
-            'a picture needs matplotlib, which is not installed; pip install "fullturn[viz]"'
-        ) from error
-
-    figure = Figure(figsize=(13.0, 7.6), facecolor="white")
-    FigureCanvasAgg(figure)
+    figure = new_figure(figsize=(13.0, 7.6))
     grid = figure.add_gridspec(
         2, 2, width_ratios=(1.2, 1), left=0.055, right=0.905, top=0.93, bottom=0.075
     )

@@ -1,0 +1,28 @@
+"""Figures without a window and without global state."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from fullturn.errors import DependencyError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def new_figure(**options: Any) -> Figure:
+    """An empty white figure that can be saved; options as of `matplotlib.figure.Figure`.
+
+    Raises:
+        DependencyError: matplotlib is missing (``pip install "fullturn[viz]"``).
+    """
+    try:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise DependencyError(
+            'a picture needs matplotlib, which is not installed; pip install "fullturn[viz]"'
+        ) from error
+    figure = Figure(facecolor="white", **options)
+    FigureCanvasAgg(figure)
+    return figure
