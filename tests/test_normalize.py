@@ -7,7 +7,12 @@ import pytest
 import torch
 
 from fullturn.geometry import rigid
-from fullturn.normalize import Normalization, normalization_of, normalized_clouds
+from fullturn.normalize import (
+    Normalization,
+    center_and_radius,
+    normalization_of,
+    normalized_clouds,
+)
 
 RNG = np.random.default_rng(0)
 
@@ -110,3 +115,16 @@ def test_normalized_clouds_come_back_as_they_were(offset: float) -> None:
         source_seen.viewpoint.numpy() * frame.length + frame.source_center, eye, atol=1e-8
     )
     assert target_seen.viewpoint is None
+
+
+@pytest.mark.parametrize("far", [15.0, 1e6])
+def test_stray_points_neither_move_the_center_nor_hide(far: float) -> None:
+    points = np.random.default_rng(2).normal(size=(2000, 3)) + [3.0, 0, 0]
+    stray = np.vstack([points, [[0, 0, far * 3.0]]])
+    center, radius = center_and_radius(stray)
+    np.testing.assert_allclose(center, points.mean(axis=0), atol=1e-9)
+    assert radius == pytest.approx(center_and_radius(points)[1], rel=1e-3)
+    (note,) = normalization_of(stray, points).notes
+    assert note.startswith("source: 1 point lies far from the rest, up to ")
+    assert note.endswith("radii: a stray return?")
+    assert normalization_of(points, points).notes == ()

@@ -11,17 +11,18 @@ from fullturn.batch import RegistrationInterrupted, check_seed, register_many
 from fullturn.geometry.cloud import Cloud
 from fullturn.io import LoadedCloud, load_cloud
 from fullturn.io.check import as_viewpoint
-from fullturn.methods.base import Estimate
 from fullturn.methods.check import check_max_rotation, rotation_limit_rad, run_method
 from fullturn.methods.registry import get, methods
 from fullturn.normalize import normalized_clouds
 from fullturn.pose.explain import explain, pose_overlap
 from fullturn.pose.search import find_finalists
-from fullturn.pose.verdict import finalist_probabilities, same_pose
+from fullturn.pose.verdict import finalist_probabilities, most_probability, same_pose
 from fullturn.result import Alternative, Registration, Symmetry
 from fullturn.threads import torch_threads
 
 if TYPE_CHECKING:
+    from torch import Tensor
+
     from fullturn.pose.symmetry import CloudSymmetry
 
 __all__ = ["RegistrationInterrupted", "methods", "register", "register_many"]
@@ -78,8 +79,14 @@ def register(
     )
     estimated = time.perf_counter()
 
-    limit = rotation_limit_rad(max_rotation_deg)
-    probabilities = _probabilities(source_seen, target_seen, estimate, limit)
+    stated = estimate.success_probability
+    doubts: tuple[str, ...] = ()
+    if stated is None:
+        limit = rotation_limit_rad(max_rotation_deg)
+        stated, doubts = _judged(
+            source_seen, target_seen, estimate.T_target_source, max_rotation_rad=limit
+        )
+    probabilities = [float(p) for p in stated]
     judged = time.perf_counter()
 
     T_best, *T_others = estimate.T_target_source
@@ -112,7 +119,7 @@ def register(
             "total": end - begin,
         },
         method=solver.name,
-        notes=(*source_cloud.notes, *target_cloud.notes, *frame.notes, *estimate.notes),
+        notes=(*source_cloud.notes, *target_cloud.notes, *frame.notes, *estimate.notes, *doubts),
     )
 
 
@@ -120,25 +127,24 @@ def _load(thing: Any, role: str) -> LoadedCloud:
     return load_cloud(thing, name=None if isinstance(thing, LoadedCloud) else role)
 
 
-def _probabilities(
-    source: Cloud, target: Cloud, estimate: Estimate, max_rotation_rad: float | None
-) -> list[float]:
-    """What the method states of each of its poses; where it states none, the verdict on them.
+def _judged(
+    source: Cloud, target: Cloud, T_target_source: Tensor, *, max_rotation_rad: float | None
+) -> tuple[Tensor, tuple[str, ...]]:
+    """The verdict on poses (k, 4, 4) of a method that states no probabilities, and notes.
 
-    The verdict is asked about them among the poses that the default search finds: whether a pose is
-    right shows only beside its rivals.
+    It is asked about them among those that the default search finds: whether a pose is right shows
+    only beside its rivals.
     """
-    if estimate.success_probability is not None:
-        return [float(p) for p in estimate.success_probability]
-    T = estimate.T_target_source
+    T = T_target_source
     found = find_finalists(source, target, given=T, max_rotation_rad=max_rotation_rad)
     rivals = ~same_pose(found.T_target_source.to(T), T).any(1)
     rivals[: len(T)] = True
     # The method's own order stays: its best pose is its answer, whatever the verdict thinks.
     stated = finalist_probabilities(
         found.T_target_source[rivals], found.features[rivals], max_rotation_rad=max_rotation_rad
-    )
-    return [float(p) for p in stated[: len(T)]]
+    )[: len(T)]
+    most, notes = most_probability(source, target)
+    return stated * (most / max(float(stated.sum()), most)), notes
 
 
 def _symmetry(found: CloudSymmetry | None) -> Symmetry | None:
@@ -146,5 +152,5 @@ def _symmetry(found: CloudSymmetry | None) -> Symmetry | None:
         return None
     axis = np.asarray(found.axis, dtype=np.float64)
     kind = f"{found.order}-fold" if found.order else "continuous"
-    where = ", ".join(f"{x + 0.0:.2f}" for x in axis)
+    where = ", ".join(f"{round(x, 2) + 0.0:.2f}" for x in axis)  # no −0.00
     return Symmetry(axis, int(found.order), f"{kind} rotation about ({where})")

@@ -11,7 +11,7 @@ from fullturn.geometry.cloud import Cloud
 
 # Robust against a few stray points, and all but the radius of a clean cloud.
 _RADIUS_QUANTILE = 0.99
-_DUBIOUS = 0.05  # of the largest distance
+_STRAY = 10.0  # radii from the mean: no point of the object lies there
 _UNLIKE = 10.0
 
 
@@ -77,9 +77,12 @@ def normalization_of(source: np.ndarray, target: np.ndarray) -> Normalization:
     source_center, source_radius = center_and_radius(source)
     target_center, target_radius = center_and_radius(target)
     ratio = source_radius / target_radius
-    notes: tuple[str, ...] = ()
+    notes = (
+        *_stray_notes("source", source, source_center, source_radius),
+        *_stray_notes("target", target, target_center, target_radius),
+    )
     if not 1.0 / _UNLIKE < ratio < _UNLIKE:
-        notes = (f"the source is {ratio:.3g} times as large as the target: is the unit the same?",)
+        notes += (f"the source is {ratio:.3g} times as large as the target: is the unit the same?",)
     return Normalization(source_center, target_center, max(source_radius, target_radius), notes)
 
 
@@ -87,16 +90,21 @@ def center_and_radius(points: np.ndarray) -> tuple[np.ndarray, float]:
     """The mean (3,) of points (n, 3) and their radius, in their unit.
 
     The radius is the 99th percentile of the distances to the mean, so that a few stray points don't
-    shrink the rest. Where it is small beside the largest distance, copies count once: most of the
-    points may coincide.
+    shrink the rest. Where it is small beside the largest distance, copies count once in it, for
+    most of the points may coincide, and points more than ten radii away, in neither.
     """
-    # Taking one point off first keeps the mean exact far from the origin.
-    center = points[0] + (points - points[0]).mean(axis=0)
-    radius, largest = _radii(points, center)
-    if radius < _DUBIOUS * largest:
-        distinct = np.unique(points, axis=0)
-        radius, _ = _radii(distinct, distinct.mean(axis=0))
-    return center, radius
+    center, distance = _distances(points)
+    radius = _radius(distance)
+    if distance.max() <= _STRAY * radius:
+        return center, radius
+    kept = distinct = np.unique(points, axis=0)
+    while True:
+        mean, distance = _distances(kept)
+        radius = _radius(distance)
+        near = distance <= _STRAY * radius
+        if near.all():
+            return (center if kept is distinct else mean), radius
+        kept = kept[near]
 
 
 def _cloud(
@@ -108,6 +116,23 @@ def _cloud(
     return Cloud(seen(points), None if viewpoint is None else seen(viewpoint))
 
 
-def _radii(points: np.ndarray, center: np.ndarray) -> tuple[float, float]:
+def _distances(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    # Taking one point off first keeps the mean exact far from the origin.
+    center = points[0] + (points - points[0]).mean(axis=0)
+    return center, np.linalg.norm(points - center, axis=1)
+
+
+def _radius(distance: np.ndarray) -> float:
+    return float(np.quantile(distance, _RADIUS_QUANTILE))
+
+
+def _stray_notes(
+    role: str, points: np.ndarray, center: np.ndarray, radius: float
+) -> tuple[str, ...]:
     distance = np.linalg.norm(points - center, axis=1)
-    return float(np.quantile(distance, _RADIUS_QUANTILE)), float(distance.max())
+    count = int((distance > _STRAY * radius).sum())
+    if not count:
+        return ()
+    what = "1 point lies" if count == 1 else f"{count} points lie"
+    away = distance.max() / radius
+    return (f"{role}: {what} far from the rest, up to {away:.3g} radii: a stray return?",)

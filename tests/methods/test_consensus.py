@@ -153,6 +153,15 @@ def test_tiny_strangers_get_little_probability(count: int) -> None:
     assert float(np.mean(answers)) <= 0.2
 
 
+@pytest.mark.parametrize("method", ["auto", "icp-point"])
+def test_a_handful_of_points_gets_little_probability_and_a_reason(method: str) -> None:
+    points = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 2]], float)
+    result = fullturn.register(points, points, method=method)
+    shares = [a.success_probability for a in result.alternatives]
+    assert result.success_probability + sum(shares) <= 0.2 + 1e-9
+    assert any(note.startswith("fewer than 12 points: ") for note in result.notes)
+
+
 def test_fifty_points() -> None:
     T_true = true_pose(6)
     points = partial(teapot(), 50, seed=6)
@@ -206,7 +215,7 @@ def test_copies_of_points() -> None:
     assert_right(fullturn.register(source, target), T_true, source)
 
 
-@pytest.mark.parametrize("distance", [5.0, 1e4])
+@pytest.mark.parametrize("distance", [5.0, 15.0, 1e6])
 def test_a_few_stray_points(distance: float) -> None:
     T_true = true_pose(11)
     stray = np.random.default_rng(11).normal(size=(3, 3)) * distance
@@ -214,6 +223,8 @@ def test_a_few_stray_points(distance: float) -> None:
     target = move(T_true, partial(teapot(), 1200, seed=12))
     result = fullturn.register(np.concatenate([points, stray]), target)
     assert_right(result, T_true, points)
+    assert result.success_probability > 0.5
+    assert any("stray" in note for note in result.notes) == (distance > 10)
 
 
 @pytest.mark.parametrize("factor", [1e-3, 1e3])
@@ -222,6 +233,7 @@ def test_another_unit_by_mistake_is_answered_with_no_confidence(factor: float) -
     result = fullturn.register(source, target * factor)
     assert result.success_probability < 0.3
     assert any("unit" in note for note in result.notes)
+    assert any("how probable a pose is isn't known" in note for note in result.notes)
 
 
 def test_a_sensor_inside_a_room_agrees_with_what_it_saw() -> None:

@@ -68,6 +68,14 @@ def test_slides_are_no_symmetry() -> None:
     assert symmetry_of_poses(T_BEST, slid) is None
 
 
+def test_the_three_half_turns_of_a_box_are_a_symmetry() -> None:
+    rivals = torch.cat([turns(180.0, axis=axis, noise_deg=1.0) for axis in torch.eye(3).double()])
+    found = symmetry_of_poses(T_BEST, rivals)
+    assert found is not None
+    assert found.order == 2
+    np.testing.assert_allclose(found.axis, [1, 0, 0], atol=0.03)
+
+
 def test_rivals_about_many_axes_share_none() -> None:
     axes = torch.eye(3).double()
     rivals = torch.cat(

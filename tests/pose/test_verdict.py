@@ -157,6 +157,14 @@ def test_finalists_within_the_tolerance_speak_for_one_pose() -> None:
     assert together == pytest.approx(float(shares[0] + shares[2]))
 
 
+def test_a_tiny_limit_is_one_like_others() -> None:
+    T = torch.eye(4).double()[None]
+    for limit_rad in (1e-9, 1e-4, 2e-3):
+        log_ratio = float(log_rotation_prior(T, limit_rad))
+        # (1/L) / ((θ²/2) / (L³/6)) at θ = L/10
+        assert log_ratio == pytest.approx(math.log(100 / 3), rel=1e-4)
+
+
 @pytest.mark.parametrize("limit_deg", [5.0, 60.0, 179.0])
 def test_the_prior_is_a_ratio_of_two_densities(limit_deg: float) -> None:
     limit = math.radians(limit_deg)

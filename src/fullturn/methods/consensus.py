@@ -19,6 +19,7 @@ from fullturn.pose.levels import LevelPair
 from fullturn.pose.look import look
 from fullturn.pose.search import LIMIT_EDGE_RAD, SearchConfig
 from fullturn.pose.symmetry import symmetry_of_poses
+from fullturn.pose.verdict import most_probability
 
 
 @dataclass(frozen=True)
@@ -29,11 +30,6 @@ class ConsensusConfig:
     least_probability: float = 0.01  # of an alternative
     most_alternatives: int = 9
     rival_share: float = 0.1  # of the answer's probability: what counts as evidence of symmetry
-    # The verdict was fit on clouds with so many points, and of about one size. Beyond that, nothing
-    # is known, and all probabilities together are at most this.
-    least_points: int = 12
-    least_size: float = 0.1  # of the smaller cloud's radius in that of the larger one
-    unknown: float = 0.2
 
 
 class Consensus(Method):
@@ -84,8 +80,8 @@ class Consensus(Method):
         ][: 1 + config.most_alternatives]
         T = found.T_target_source[[index for index, _ in kept]].clone()
         probability = torch.tensor([p for _, p in kept], dtype=T.dtype)
-        if not self._is_known(source, target):
-            probability *= min(1.0, config.unknown / float(probability.sum()))
+        most, notes = most_probability(source, target)
+        probability *= most / max(float(probability.sum()), most)
         judged_at = time.perf_counter()
         answer = refine_fine(T[0], source, target, start=2.0 * found.spacing)
         angle = float(rigid.rotation_angle_rad(answer[:3, :3]))
@@ -96,15 +92,7 @@ class Consensus(Method):
         end = time.perf_counter()
         verdict = judged_at - begin - sum(found.seconds.values())
         seconds = {**found.seconds, "verdict": verdict, "fine": end - judged_at}
-        return Estimate(T, probability, symmetry, seconds, found.notes)
-
-    def _is_known(self, source: Cloud, target: Cloud) -> bool:
-        """Whether the verdict was fit on clouds such as these."""
-        fewest = min(len(source.points), len(target.points))
-        sizes = [float(c.points.norm(dim=1).amax()) for c in (source, target)]
-        return fewest >= self.config.least_points and min(sizes) >= self.config.least_size * max(
-            sizes
-        )
+        return Estimate(T, probability, symmetry, seconds, (*found.notes, *notes))
 
 
 class ConsensusHistogram(Consensus):

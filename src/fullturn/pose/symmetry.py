@@ -19,6 +19,7 @@ from fullturn.pose.verify import FEATURES
 _SAME_AXIS_DEG = 12.0
 _SAME_ANGLE_DEG = 8.0
 _MAX_ORDER = 8
+_LEAST_ENTRY = 5e-3  # of an axis: smaller ones, which two decimals don't show, decide no sign
 _MANY = 4  # so many angles without a common step mean that any angle will do
 # How far above that of no motion the logarithm of the squared distance may lie.
 _FIT_MARGIN = 0.15
@@ -42,7 +43,7 @@ def symmetry_of_poses(
     S = T_best⁻¹ T_rival moves the source onto itself. The axis that most rivals share is taken;
     n-fold where all its angles are multiples of 360°/n for an n up to 8, nearly all of which
     were seen; continuous where there are many other angles. None where fewer than half of the
-    rivals share an axis, or their angles are no symmetry's.
+    rivals share an axis (but for the half turns of a box), or their angles are no symmetry's.
     """
     motions = [rigid.invert(T_best) @ T for T in T_rivals]
     turns = [_axis_angle(motion) for motion in motions]
@@ -50,11 +51,9 @@ def symmetry_of_poses(
     if not turns:
         return None
     cosine = math.cos(math.radians(_SAME_AXIS_DEG))
-    groups = [
-        [turn for turn in turns if abs(float(turn[0] @ axis)) > cosine] for axis, _ in turns
-    ]
+    groups = [[turn for turn in turns if abs(float(turn[0] @ axis)) > cosine] for axis, _ in turns]
     shared = max(groups, key=len)
-    if 2 * len(shared) < len(turns):
+    if 2 * len(shared) < len(turns) and not _are_of_a_box(turns):
         return None
     order = _order([math.degrees(angle) for _, angle in shared])
     if order is None:
@@ -88,8 +87,18 @@ def _axis_angle(motion: Tensor) -> tuple[Tensor, float]:
     vector = rigid.log_so3(motion[:3, :3])
     angle = float(vector.norm())
     axis = vector / max(angle, 1e-12)
-    leading = axis[torch.nonzero(axis.abs() > 1e-6)[0, 0]] if angle > 1e-9 else axis[0]
+    leading = axis[torch.nonzero(axis.abs() > _LEAST_ENTRY)[0, 0]] if angle > 1e-9 else axis[0]
     return (axis if leading >= 0 else -axis), angle
+
+
+def _are_of_a_box(turns: list[tuple[Tensor, float]]) -> bool:
+    """Whether all are half turns, about the same axis or perpendicular ones."""
+    axes = torch.stack([axis for axis, _ in turns])
+    cosine = (axes @ axes.T).abs()
+    apart = math.radians(_SAME_AXIS_DEG)
+    square = (cosine > math.cos(apart)) | (cosine < math.sin(apart))
+    least = math.pi - math.radians(_SAME_ANGLE_DEG)
+    return bool(square.all()) and all(angle > least for _, angle in turns)
 
 
 def _order(angles_deg: list[float]) -> int | None:

@@ -14,14 +14,20 @@ from torch import Tensor
 
 from fullturn.errors import FullturnError
 from fullturn.geometry import rigid
+from fullturn.geometry.cloud import Cloud
 from fullturn.pose.verify import FEATURES, FINE
 
 # What "the same pose" and "right" mean: within 5° and 5 % of the larger cloud's radius, at the
 # source's mean.
 TOLERANCE_RAD = math.radians(5.0)
 TOLERANCE_OFFSET = 0.05
+# What the fit has seen, and what all poses together get beyond that.
+_LEAST_POINTS = 12
+_LEAST_SIZE = 0.1  # of the smaller cloud's radius in that of the larger one
+_UNKNOWN = 0.2
 _STEPS = (0.03, 0.1, 0.3)
 _SMALL_TURN = 0.1  # of the limit
+_SERIES_BELOW_RAD = 1e-3
 _LARGEST_INPUT = 6.0  # standard deviations; beyond it, nothing was seen in the fit
 
 
@@ -47,6 +53,28 @@ class Judged:
     index: list[int]  # into the finalists
     probability: list[float]  # of each; they sum to at most 1
     none: float  # the probability that none of the finalists is right
+
+
+def most_probability(source: Cloud, target: Cloud) -> tuple[float, tuple[str, ...]]:
+    """What all poses of two normalized clouds together may be given, and why, if less than 1.
+
+    The verdict was fit on clouds of at least 12 points, and of about one size.
+    """
+    fewest = min(len(source.points), len(target.points))
+    if fewest < _LEAST_POINTS:
+        why = f"fewer than {_LEAST_POINTS} points"
+        return _UNKNOWN, (f"{why}: how probable a pose is isn't known, and {_UNKNOWN} at most",)
+    small, large = sorted(_radius(cloud) for cloud in (source, target))
+    if small < _LEAST_SIZE * large:
+        why = f"one cloud is {large / small:.3g} times as large as the other"
+        return _UNKNOWN, (f"{why}: how probable a pose is isn't known, and {_UNKNOWN} at most",)
+    return 1.0, ()
+
+
+def _radius(cloud: Cloud) -> float:
+    """The 99th percentile of the distances to the mean: a few stray points say nothing of it."""
+    distance = cloud.points.norm(dim=1)
+    return float(distance.kthvalue(math.ceil(0.99 * len(distance))).values)
 
 
 def verdict_inputs(
@@ -127,7 +155,9 @@ def log_rotation_prior(
     """
     L = max_rotation_rad
     angle = rigid.rotation_angle_rad(T_target_source[:, :3, :3]).clamp_min(_SMALL_TURN * L)
-    return math.log((L - math.sin(L)) / L) - torch.log1p(-angle.cos())
+    # Both to their digits for small angles: 1 − cos θ = 2 sin²(θ/2), L − sin L ≈ L³/6.
+    wrong = math.log(L - math.sin(L)) if L > _SERIES_BELOW_RAD else math.log(L**3 / 6)
+    return wrong - math.log(2 * L) - 2 * (angle / 2).sin().log()
 
 
 def finalist_probabilities(
