@@ -33,6 +33,7 @@ from fullturn.locating.model import PreparedModel, prepare
 from fullturn.locating.scene import free_parts, take_apart
 from fullturn.locating.search import LocateConfig
 from fullturn.locating.verify import FEATURES
+from fullturn.normalize import Normalization, center_and_radius
 from fullturn.pose.grid import NearestGrid
 from fullturn.pose.verdict import VerdictWeights, log_probabilities, same_pose, verdict_inputs
 from locate_scenes import Scene, scene_of
@@ -66,15 +67,13 @@ def rows_of(
     shape: str,
 ) -> list[dict[str, object]]:
     """What was measured in each part of a scene, and which poses are right."""
-    mean = scene.points.mean(0)
-    points = torch.from_numpy((scene.points - mean) / model.radius)
-    eye = torch.from_numpy((scene.viewpoint - mean) / model.radius) if known else None
+    center, _ = center_and_radius(scene.points)
+    points = torch.from_numpy((scene.points - center) / model.radius)
+    eye = torch.from_numpy((scene.viewpoint - center) / model.radius) if known else None
     parts = take_apart(points, eye, model)
     every = torch.ones(len(parts.points), dtype=torch.bool)
-    T_true = torch.from_numpy(scene.T_scene_model).clone()[None]
-    center = model.center
-    moved = T_true[0, :3, :3] @ center + T_true[0, :3, 3] - torch.from_numpy(mean)
-    T_true[0, :3, 3] = moved / model.radius
+    frame = Normalization(model.center.numpy(), center, model.radius)
+    T_true = torch.from_numpy(frame.normalize(scene.T_scene_model))[None]
     rows = []
     for members in free_parts(parts, every, model, limit=LocateConfig().parts):
         found = candidates(parts, members, model, grid, LocateConfig())

@@ -17,8 +17,9 @@ from fullturn.data.mvp_rg import MvpRgConfig
 from fullturn.data.mvp_views import cameras_of, view_of
 from fullturn.data.scanner import Scanner
 from fullturn.data.surface import sample_surface
-from fullturn.evaluation.metrics import diameter, rotation_error_deg
+from fullturn.evaluation.metrics import rotation_error_deg
 from fullturn.fusion.result import Fusion
+from fullturn.geometry.diameter import diameter
 from fullturn.io import load_cloud
 
 WITHIN_DEG = 5.0

@@ -30,11 +30,11 @@ from fullturn.evaluation.layout import Table, markdown
 from fullturn.evaluation.metrics import (
     add,
     add_s,
-    diameter,
     expected_calibration_error,
     pose_success,
     rotation_error_deg,
 )
+from fullturn.geometry.diameter import diameter
 from fullturn.io.atomic import write_atomic
 from fullturn.locating.locate import locate
 from fullturn.locating.model import prepare

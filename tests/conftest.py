@@ -1,4 +1,4 @@
-"""Every call of the package in the test run is checked against its types and tensor shapes."""
+"""In the test run, calls in all rooms that compute are checked: types and tensor shapes."""
 
 from __future__ import annotations
 
@@ -13,10 +13,13 @@ ROOMS = (
     "evaluation",
     *("methods.consensus", "methods.classical", "methods.external", "methods.learned"),
     *("methods.check", "methods.own"),
-    *(f"fusion.{name}" for name in ("likely", "joint", "graph", "optimize")),
+    "locating",
+    *(f"fusion.{name}" for name in ("likely", "joint", "graph", "optimize", "rivals", "settle")),
+    *(f"fusion.{name}" for name in ("sight", "whole", "merge", "connect", "edges", "scans")),
 )
 
-# The front door, the files and the command line answer wrong types themselves, by named errors.
+# The others are not: the front door, the files and the command line answer wrong types themselves,
+# by named errors; figures and the runs of many pairs move what was computed elsewhere.
 install_import_hook([f"fullturn.{room}" for room in ROOMS], "type_checks.checked")
 
 

@@ -17,6 +17,7 @@ from fullturn import Registration, register_many
 from fullturn.batch import RegistrationInterrupted
 from fullturn.errors import FullturnError, InputError, ReadError
 from fullturn.io import save_cloud
+from fullturn.workers import THREAD_VARIABLES, Crew
 
 CLOUD = np.random.default_rng(0).normal(size=(80, 3)) * (1.0, 0.7, 0.4)
 
@@ -212,3 +213,14 @@ def test_a_worker_that_dies_costs_one_pair(tmp_path: Path) -> None:
         "Registration",
     ], err
     assert "exit code -9" in lines[1]
+
+
+def test_workers_have_one_thread_each(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OMP_NUM_THREADS", "7")
+    monkeypatch.delenv("MKL_NUM_THREADS", raising=False)
+    found: dict[int, str | None] = {}
+    with Crew(os.getenv, workers=1) as crew:
+        crew.run(THREAD_VARIABLES, found.__setitem__)
+    assert found == {0: "1", 1: "1", 2: "1"}
+    assert os.environ["OMP_NUM_THREADS"] == "7"
+    assert "MKL_NUM_THREADS" not in os.environ

@@ -119,7 +119,7 @@ def test_normalized_clouds_come_back_as_they_were(offset: float) -> None:
 
 @pytest.mark.parametrize("far", [15.0, 1e6])
 def test_stray_points_neither_move_the_center_nor_hide(far: float) -> None:
-    points = np.random.default_rng(2).normal(size=(2000, 3)) + [3.0, 0, 0]
+    points = np.random.default_rng(2).normal(loc=3.0, size=(2000, 3))
     stray = np.vstack([points, [[0, 0, far * 3.0]]])
     center, radius = center_and_radius(stray)
     np.testing.assert_allclose(center, points.mean(axis=0), atol=1e-9)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import operator
 import os
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from functools import partial
 from typing import Any
 
@@ -102,9 +102,17 @@ def outcome_of(pair: Any, **options: Any) -> Outcome:
     """What `register(source, target, **options)` returns, or its error; the one of one pair."""
     from fullturn.api import register
 
-    try:
+    def work() -> Registration:
         source, target = _portable(pair)
         return register(source, target, **options)
+
+    return attempt(work)
+
+
+def attempt(work: Callable[[], Registration]) -> Outcome:
+    """What `work` returns, or whatever it raises as an error of this one pair."""
+    try:
+        return work()
     except FullturnError as error:
         return error.with_traceback(None)  # whose frames would keep the clouds in memory
     # A fault in one pair must not cost the others their results.

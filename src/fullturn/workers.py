@@ -22,8 +22,8 @@ _CANNOT_START = (
 class Crew:
     """Worker processes that answer tasks one by one; they stay from one list of tasks to the next.
 
-    Each worker keeps `work` between tasks and starts afresh ("spawn"), so `work` and tasks must
-    pickle. Leaving the block stops the workers.
+    Each worker has one thread, keeps `work` between tasks and starts afresh ("spawn"), so `work`
+    and tasks must pickle. Leaving the block stops the workers.
     """
 
     def __init__(self, work: Callable[[Any], Any], *, workers: int) -> None:
@@ -87,7 +87,8 @@ class Crew:
                 feed(worker)
 
     def _hire(self) -> None:
-        worker = _Worker(self._work)
+        with one_thread_each():
+            worker = _Worker(self._work)
         self._crew[worker.pipe] = worker
 
 

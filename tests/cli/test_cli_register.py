@@ -74,6 +74,19 @@ def test_outputs_hold_the_result_exactly(files: list[str], tmp_path: Path) -> No
     np.testing.assert_array_equal(read_transform(as_json), T)
 
 
+def test_what_cannot_be_written_is_told_before_the_work(
+    files: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def work(*_: object, **__: object) -> None:
+        raise AssertionError("worked")
+
+    monkeypatch.setattr("fullturn.api.register", work)
+    for option, place in (("--out", "/proc/x.txt"), ("--save", f"/tmp/{'long' * 100}.ply")):
+        code, out, err = call("register", *files, option, place)
+        assert (code, out) == (1, "")
+        assert f"cannot write {place[:100]}" in err
+
+
 def test_report_and_figure(files: list[str], tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     report, figure = tmp_path / "a.html", tmp_path / "a.png"
@@ -87,11 +100,13 @@ def test_report_and_figure(files: list[str], tmp_path: Path) -> None:
     [
         (["missing.ply", "also.ply"], "there is none"),
         (["{source}", "{target}", "--method", "magic"], "expected auto, icp, consensus"),
+        (["{source}", "{target}", "--method", "magic"], "gmcnet@WEIGHTS[+consensus], or your own"),
         (["{source}", "{target}", "--out", "T.yaml"], ".txt, .json"),
         (["{source}", "{target}", "--out", "missing/T.txt"], "create it first"),
         (["{source}", "{target}", "--save", "a.jpg"], ".ply, .npy"),
         (["{source}", "{target}", "--report", "a.pdf"], ".html"),
         (["{source}", "{target}", "--figure", "a.gif"], ".png"),
+        (["{source}", "{target}", "--out", "a.txt", "--save", "./a.txt"], "got this one twice"),
         (["{source}", "{source}/x"], "there is none"),
         (["{source}", "{target}", "--max-rotation", "45", "--method", "icp"], "(consensus, "),
     ],
@@ -180,7 +195,8 @@ def test_version_and_methods() -> None:
     code, out, _ = call("methods")
     assert code == 0
     assert "consensus (auto)" in out
-    assert "icp-plane" in out
+    assert "icp-plane (icp)" in out
+    assert "gmcnet@WEIGHTS" in out
 
 
 WAIT = """

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -47,6 +48,10 @@ def test_outputs_and_one_json_object(files: list[str], tmp_path: Path) -> None:
     assert [scan["path"] for scan in content["scans"]] == files
     assert content["points"] == len(load_cloud(merged).points)
     assert json.loads(poses.read_text())["scans"] == content["scans"]
+    # Everything counts from 0: the group is a place in `groups`, `chosen` one in `probability`.
+    assert [scan["group"] for scan in content["scans"]] == [0, 0, 0]
+    assert content["groups"] == [files]
+    assert {edge["chosen"] for edge in content["edges"]} == {0}
     assert report.read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
     assert len(content["edges"]) == 3
     assert (tmp_path / "cache" / "edges.jsonl").exists()
@@ -78,6 +83,27 @@ def test_viewpoints_are_read_from_a_file(files: list[str], tmp_path: Path) -> No
     code, _, err = call(*files, *options, "--viewpoints", tmp_path / "none.txt")
     assert code == 1
     assert "cannot read the viewpoints" in err
+
+
+def test_the_documented_fields_are_those_there_are(files: list[str], tmp_path: Path) -> None:
+    code, out, _ = call(
+        *files, "--out", tmp_path / "m.npy", "--method", "icp-point", "--workers", 1, "--json"
+    )
+    assert code == 0
+    content = json.loads(out)
+    inner = [*content["scans"][0], *content["edges"][0]]
+    text = (Path(__file__).parents[2] / "docs" / "fuse.md").read_text(encoding="utf-8")
+    table = text.split("| field | type |")[1].split("\n\n")[0]
+    rows = [line.split("|")[1] for line in table.splitlines()[2:]]
+    documented = [name for row in rows for name in re.findall(r"`(\w+)`", row)]
+    assert sorted(documented) == sorted([*content, *inner])
+
+
+@pytest.mark.parametrize("value", ["nan", "0", "1.5"])
+def test_a_probability_out_of_range_is_wrong_usage(value: str, tmp_path: Path) -> None:
+    code, _, err = call("a.ply", "b.ply", "--out", tmp_path / "m.ply", "--min-probability", value)
+    assert code == 2
+    assert "--min-probability" in err
 
 
 @pytest.mark.parametrize(

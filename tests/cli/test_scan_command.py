@@ -117,6 +117,52 @@ def test_views_that_see_nothing_are_told(run, cube, tmp_path):
     assert not list((tmp_path / "out").glob("*.ply"))
 
 
+def test_an_earlier_runs_clouds_are_removed(run, cube, tmp_path, no_matplotlib):
+    out = tmp_path / "out"
+    run(cube, "--out", out, "--views", 8, "--width", 40)
+    kept = ["view_08.ply", "view_03.txt", "view_03_clean.ply", "mine.ply"]
+    for name in kept:
+        (out / name).write_text("mine")
+    done = run(cube, "--out", out, *QUICK)
+    names = [f"view_{number:02d}.ply" for number in range(8)]
+    assert (
+        f"removed the clouds that only an earlier run wrote: {', '.join(names[3:])}" in done.output
+    )
+    expected = {*names[:3], *kept, "poses.json"}
+    assert {path.name for path in out.iterdir()} == expected
+    assert "removed" not in run(cube, "--out", out, *QUICK).output
+    # Views that now see nothing leave no cloud either.
+    assert (
+        "wrote: view_00.ply, view_01.ply, view_02.ply"
+        in run(cube, "--out", out, "--quantize", 100, *QUICK).output
+    )
+    assert {path.name for path in out.iterdir()} == {*kept, "poses.json"}
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"\xff",
+        b"no JSON",
+        b"[1]",
+        b"{}",
+        b'{"views": 3}',
+        b'{"views": [3]}',
+        b'{"views": [{"name": ["view_05"]}]}',
+        b'{"views": [{"name": 5}, {"name": "../view_05"}, {"name": "mine"}, {"name": "view_5"}]}',
+    ],
+)
+def test_nothing_else_is_ever_removed(run, cube, tmp_path, no_matplotlib, content):
+    out = tmp_path / "out"
+    out.mkdir()
+    places = [tmp_path / "view_05.ply", *(out / f"{n}.ply" for n in ("view_05", "view_5", "mine"))]
+    for place in places:
+        place.write_text("mine")
+    (out / "poses.json").write_bytes(content)
+    assert "removed" not in run(cube, "--out", out, *QUICK).output
+    assert all(place.read_text() == "mine" for place in places)
+
+
 def test_what_is_no_mesh_is_named(run, tmp_path):
     out = tmp_path / "out"
     (tmp_path / "cloud.ply").write_text(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from fullturn.evaluation.metrics import add, add_s, diameter
+from fullturn.evaluation.metrics import add, add_s
 
 
 def random_pose(rng: np.random.Generator) -> np.ndarray:
@@ -43,12 +43,3 @@ def test_add_s_forgives_the_turn_of_a_symmetric_model() -> None:
     turned[:3, :3] = Rotation.from_euler("z", 90, degrees=True).as_matrix()
     assert add(turned, np.eye(4), square) == pytest.approx(2.0)
     assert add_s(turned, np.eye(4), square) == pytest.approx(0.0, abs=1e-12)
-
-
-def test_the_diameter_is_the_largest_distance() -> None:
-    points = np.random.default_rng(3).normal(size=(300, 3))
-    brute = np.linalg.norm(points[:, None] - points[None], axis=2).max()
-    assert diameter(points) == pytest.approx(brute)
-    flat = points * (1, 1, 0)
-    brute = np.linalg.norm(flat[:, None] - flat[None], axis=2).max()
-    assert diameter(flat) == pytest.approx(brute)

@@ -20,7 +20,6 @@ def filled(path: Path, count: int = 3) -> PredictionCache:
     cache = PredictionCache(path)
     for number in range(count):
         cache.add(f"pair{number}", prediction(number))
-    cache.close()
     return cache
 
 
@@ -40,7 +39,6 @@ def test_what_was_kept_comes_back_to_the_last_bit(tmp_path: Path) -> None:
     failed = Prediction(np.eye(4), error="ValueError: it said “no”")
     more = PredictionCache(path)
     more.add("failed", failed)
-    more.close()
     found = PredictionCache(path)
     assert list(found.found) == ["pair0", "pair1", "pair2", "failed"]
     assert all(same(found.found[f"pair{number}"], prediction(number)) for number in range(3))
@@ -57,7 +55,6 @@ def test_a_line_that_was_cut_off_is_predicted_again(tmp_path: Path, cut: int) ->
     # Without its line end alone, the line is whole.
     assert len(found.found) == (3 if cut == 1 else 2)
     found.add("pair2", prediction(2))
-    found.close()
     again = PredictionCache(path)
     assert again.damaged == 0
     assert sorted(again.found) == ["pair0", "pair1", "pair2"]
@@ -78,10 +75,9 @@ def test_damage_is_counted_and_costs_its_own_line_alone(tmp_path: Path) -> None:
 
 
 def test_a_place_that_cannot_be_used_is_an_error(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
     with pytest.raises(WriteError, match="--cache"):
         PredictionCache(tmp_path)
-    blocked = PredictionCache(tmp_path / "other")
-    blocked.path = tmp_path / "file" / "below"
+    blocked = PredictionCache(tmp_path / "file" / "below")
+    (tmp_path / "file").write_text("")
     with pytest.raises(WriteError, match="--cache"):
         blocked.add("pair", prediction(0))

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from fusion_cases import errors, random_pose
+from fusion_cases import errors, jitter, random_pose
 
 import fullturn
 from fullturn.errors import InputError
 from fullturn.fusion import edges as edges_module
+from fullturn.fusion.edges import pair_key
 from fullturn.fusion.likely import PAIRS_PER_SCAN, likely_pairs, next_pairs
 from fullturn.fusion.report import render_fusion_report
 from fullturn.fusion.scans import check_scans
@@ -162,13 +164,14 @@ def test_another_viewpoint_is_another_pair_in_the_cache(exact: Exact, tmp_path: 
     ("viewpoints", "message"),
     [
         ([None], "one per scan, 2, got 1"),
-        ([None, (0.0, 1.0)], "three finite numbers for scan 2"),
-        ([None, (0.0, 1.0, float("inf"))], "three finite numbers for scan 2"),
-        ([None, "here"], "three finite numbers for scan 2"),
+        ([None, (0.0, 1.0)], "scan 2: expected three finite numbers"),
+        ([None, (0.0, 1.0, float("inf"))], "scan 2: expected three finite numbers"),
+        ([None, "here"], "scan 2: expected three numbers, got 'here'"),
         ("here", "a list"),
         (3, "a list"),
     ],
 )
+@pytest.mark.usefixtures("unchecked")
 def test_viewpoints_that_are_none_are_an_error(viewpoints: Any, message: str) -> None:
     with pytest.raises(InputError, match=message):
         fullturn.fuse([shape(), shape(1)], viewpoints=viewpoints)
@@ -199,6 +202,7 @@ def test_what_cannot_be_used_is_named_and_left_out(exact: Exact, tmp_path: Path)
 
 
 @pytest.mark.parametrize("clouds", [[], [shape()], [shape(), shape()], "scan.ply", None])
+@pytest.mark.usefixtures("unchecked")
 def test_fewer_than_two_scans_are_an_error(clouds: Any) -> None:
     with pytest.raises(InputError, match="at least 2"):
         fullturn.fuse(clouds)
@@ -215,6 +219,13 @@ def test_other_units_and_densities_are_said() -> None:
     assert any("is its unit another" in note for note in notes)
     _, notes = check_scans([shape(k, 3000) for k in range(3)] + [shape(3, 12)])
     assert any("point spacing" in note for note in notes)
+
+
+def test_copies_of_one_point_do_not_shrink_a_scan() -> None:
+    cloud = shape(count=300)
+    copies = np.repeat(cloud[:1], 40_000, axis=0)
+    (scan, crowded), _ = check_scans([cloud, np.concatenate([cloud, copies])])
+    assert crowded.radius == pytest.approx(scan.radius, rel=0.01)
 
 
 def test_a_stopped_fusion_goes_on_from_the_cache(exact: Exact, tmp_path: Path) -> None:
@@ -234,6 +245,20 @@ def test_a_stopped_fusion_goes_on_from_the_cache(exact: Exact, tmp_path: Path) -
     other = fullturn.fuse(clouds, cache=tmp_path, seed=1)
     assert exact.calls == 13
     assert any("6 pairs of other scans, settings" in note for note in other.notes)
+
+
+@pytest.mark.parametrize("name", ["verdict.safetensors", "api.py"])
+def test_a_refit_verdict_finds_nothing_in_the_cache(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scans, _ = check_scans([shape(), shape(1)])
+    before = pair_key("icp-point", 0, 1.0)(*scans)
+    assert pair_key("icp-point", 0, 1.0)(*scans) == before
+    honest = Path.read_bytes
+    monkeypatch.setattr(
+        Path, "read_bytes", lambda path: b"refit" if path.name == name else honest(path)
+    )
+    assert pair_key("icp-point", 0, 1.0)(*scans) != before
 
 
 def test_a_foreign_cache_is_refused(tmp_path: Path) -> None:
@@ -292,10 +317,20 @@ def test_the_report_shows_every_scan_and_pair(exact: Exact) -> None:
 
 
 def test_workers_change_nothing() -> None:
-    clouds, _ = scans_of(shape(count=400), 3)
+    rng = np.random.default_rng(0)
+    moves = [jitter(np.eye(4), rng, deg=5.0, shift=0.1) for _ in range(3)]  # ICP undoes them
+    clouds = [shape(count=600) @ T[:3, :3].T + T[:3, 3] for T in moves]
     one, two = (fullturn.fuse(clouds, method="icp-point", workers=w) for w in (1, 2))
-    for a, b in zip(one.T_world_scan, two.T_world_scan, strict=True):
-        np.testing.assert_array_equal(a, b)
+    assert one.groups == ((0, 1, 2),)
+    for name in ("T_world_scan", "covariance", "probability"):
+        for a, b in zip(getattr(one, name), getattr(two, name), strict=True):
+            np.testing.assert_array_equal(a, b, err_msg=name)
+    for name in ("names", "group", "groups", "method", "notes"):
+        assert getattr(one, name) == getattr(two, name), name
+    assert [asdict(edge) for edge in one.edges] == [asdict(edge) for edge in two.edges]
+    for cloud, other in zip(one.merged, two.merged, strict=True):
+        np.testing.assert_array_equal(cloud.points, other.points)
+        np.testing.assert_array_equal(cloud.count, other.count)
 
 
 def test_virtual_scans_come_together_end_to_end() -> None:

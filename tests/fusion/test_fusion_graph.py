@@ -9,7 +9,8 @@ import pytest
 from fusion_cases import between, edge, errors, jitter, random_pose, random_poses
 
 from fullturn.fusion.edges import failed_edge
-from fullturn.fusion.graph import GraphConfig, Measurement, Placement, place_scans, posterior
+from fullturn.fusion.graph import GraphConfig, Placement, place_scans
+from fullturn.fusion.posterior import Measurement, posterior
 
 
 def check_poses(placement: Placement, truth: np.ndarray, *, deg: float, shift: float) -> None:

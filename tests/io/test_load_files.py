@@ -155,6 +155,24 @@ def test_obj_without_faces_is_a_cloud(tmp_path: Path) -> None:
     assert "its vertices are used" in loaded.notes[0]
 
 
+@pytest.mark.parametrize("extra", ["", " 10 20 30 255"])
+def test_off_without_faces_is_a_cloud(extra: str, tmp_path: Path) -> None:
+    kind = "COFF" if extra else "OFF"
+    path = tmp_path / "a.off"
+    text = f"{kind}\n# a comment\n{len(POINTS)} 0 0\n{rows(' ', extra)}"
+    path.write_text(text)
+    loaded = load_cloud(path)
+    np.testing.assert_array_equal(loaded.points, POINTS)
+    assert "its vertices are used" in loaded.notes[0]
+    for damaged in (text[: len(text) // 2], text + "1 2\n", text.replace(".", "x", 1)):
+        path.write_text(damaged)
+        with pytest.raises(ReadError, match=r"the file ends before|the file is damaged"):
+            load_cloud(path)
+    path.write_text("OFF\n0 0 0\n")
+    with pytest.raises(ReadError, match="expected a mesh with triangles"):
+        load_cloud(path)
+
+
 @pytest.mark.parametrize("kind", ["stl", "stl_ascii", "off", "glb"])
 @pytest.mark.parametrize("keep", [0.0, 0.1, 0.5, 0.9])
 def test_truncated_meshes_are_named(kind: str, keep: float, tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from hypothesis.extra import numpy as hnp
 
 from fullturn.errors import InputError, ReadError, WriteError
 from fullturn.io import load_cloud, read_transform, save_cloud, write_transform
-from fullturn.io.atomic import write_atomic
+from fullturn.io.atomic import check_output, write_atomic
 
 POINTS = np.random.default_rng(0).normal(size=(40, 3)) * 1e3 + 1e6
 
@@ -42,6 +43,35 @@ def test_a_place_that_cannot_be_written(name: str, tmp_path: Path) -> None:
         save_cloud(f"{tmp_path}/{name}", POINTS)
     assert "\n" not in str(caught.value)
     assert os.listdir(tmp_path) == ["folder.ply"]
+
+
+@pytest.mark.parametrize("name", ["long" * 100 + ".ply", "circle.ply", "lost.ply"])
+def test_what_only_the_write_would_meet_is_found_before(name: str, tmp_path: Path) -> None:
+    (tmp_path / "circle.ply").symlink_to(tmp_path / "circle.ply")
+    (tmp_path / "lost.ply").symlink_to(tmp_path / "missing" / "a.ply")
+    for check in (check_output, lambda path: save_cloud(path, POINTS)):
+        with pytest.raises(WriteError, match="cannot write") as caught:
+            check(tmp_path / name)
+        assert "\n" not in str(caught.value)
+    assert sorted(os.listdir(tmp_path)) == ["circle.ply", "lost.ply"]
+
+
+def test_a_folder_that_takes_no_files_is_found_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert check_output(tmp_path / "a.txt") == tmp_path / "a.txt"
+    assert os.listdir(tmp_path) == []
+    if Path("/proc/self").exists():
+        with pytest.raises(WriteError, match=r"cannot write /proc/x\.txt: .*; choose a place"):
+            check_output("/proc/x.txt", (".txt",))
+
+    def denied(*_: object, **__: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    # Not by chmod: the superuser writes everywhere.
+    monkeypatch.setattr(tempfile, "TemporaryFile", denied)
+    with pytest.raises(WriteError, match="Permission denied; choose a place"):
+        check_output(tmp_path / "a.txt")
 
 
 def test_a_failed_write_keeps_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

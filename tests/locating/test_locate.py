@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
+from typing import Any
+
 import numpy as np
 import pytest
 import trimesh
@@ -12,7 +15,9 @@ import fullturn
 from fullturn.data.motion import invert, move, rigid, uniform_rotation
 from fullturn.errors import InputError
 from fullturn.evaluation.metrics import add
+from fullturn.locating.judge import Judged, judge
 from fullturn.locating.model import ModelConfig, PreparedModel, prepare
+from fullturn.locating.search import LocateConfig
 
 
 def error(T: np.ndarray, T_true: np.ndarray, prepared: PreparedModel) -> float:
@@ -71,6 +76,25 @@ def test_two_instances(dog_model: PreparedModel) -> None:
     one = fullturn.locate(dog_model, points, scene_viewpoint=viewpoint)
     assert len(one.locations) == 1
     assert any((one.T_scene_model == place.T_scene_model).all() for place in found.locations)
+
+
+def test_a_part_of_few_points_is_no_further_instance(
+    dog_model: PreparedModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def sure(*told: Any) -> Judged:
+        judged = judge(*told)
+        return dataclasses.replace(judged, surface=[0.9] * len(judged.surface))
+
+    points, _, _ = scan([model()], (2.0, 2.0, 1.0), np.random.default_rng(1))
+    away = np.linalg.norm(points - points[0], axis=1)
+    piece = points[np.argsort(away)[: len(points) // 20]] + 5.0
+    monkeypatch.setattr("fullturn.locating.locate.judge", sure)
+    told: dict[str, Any] = {"instances": 2, "config": LocateConfig(sure=1.0)}
+    both = np.vstack([points, piece])
+    found = fullturn.locate(dog_model, both, min_probability=0.1, **told)
+    assert [place.surface_probability for place in found.locations] == [0.9, pytest.approx(0.2)]
+    found = fullturn.locate(dog_model, both, min_probability=0.5, **told)
+    assert [place.surface_probability for place in found.locations] == [0.9]
 
 
 @pytest.mark.parametrize("scale", [1000.0, 1e-3])

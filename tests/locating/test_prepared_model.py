@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Set
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,6 +21,17 @@ from fullturn.locating.model import ModelConfig, PreparedModel, prepare
 from fullturn.locating.views import visible
 
 SMALL = ModelConfig(views=12, level_points=(200,))
+
+
+def assert_identical(one: Any, other: Any, *, besides: Set[str] = frozenset()) -> None:
+    """All fields of two dataclasses."""
+    for name in {field.name for field in dataclasses.fields(one)} - besides:
+        mine, its = getattr(one, name), getattr(other, name)
+        if isinstance(mine, torch.Tensor):
+            assert torch.equal(mine, its), name
+            assert mine.dtype == its.dtype, name
+        else:
+            assert mine == its, name
 
 
 def test_the_inside_is_left_out_and_normals_point_outward() -> None:
@@ -62,18 +75,24 @@ def test_a_file_gives_the_identical_result(dog_model: PreparedModel, tmp_path: P
     path = tmp_path / "dog.safetensors"
     dog_model.save(path)
     again = store.load_prepared(path, model=model())
-    for field in dataclasses.fields(PreparedModel):
-        mine, its = getattr(dog_model, field.name), getattr(again, field.name)
-        if isinstance(mine, torch.Tensor):
-            assert torch.equal(mine, its)
-            assert mine.dtype == its.dtype
-        elif field.name != "levels":
-            assert mine == its
+    assert_identical(dog_model, again, besides={"levels"})
+    for level, its in zip(dog_model.levels, again.levels, strict=True):
+        assert_identical(level, its)
     points, viewpoint, _ = scan([model()], (2.0, 2.0, 1.0), np.random.default_rng(1))
     first = fullturn.locate(dog_model, points, scene_viewpoint=viewpoint)
     second = fullturn.locate(path, points, scene_viewpoint=viewpoint)
     np.testing.assert_array_equal(first.T_scene_model, second.T_scene_model)
     assert first.success_probability == second.success_probability
+
+
+def test_without_the_descriptors_weights_it_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fullturn.locating.describe.load_surface_net", lambda: None)
+    prepared = prepare(model(), config=SMALL)
+    assert prepared.notes == (
+        "no descriptor weights in the package: matched by handcrafted histograms",
+    )
+    points, _, _ = scan([model()], (2.0, 2.0, 1.0), np.random.default_rng(1))
+    assert prepared.notes[0] in fullturn.locate(prepared, points).notes
 
 
 def test_wrong_files_are_refused(

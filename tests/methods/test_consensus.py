@@ -162,6 +162,19 @@ def test_a_handful_of_points_gets_little_probability_and_a_reason(method: str) -
     assert any(note.startswith("fewer than 12 points: ") for note in result.notes)
 
 
+@pytest.mark.parametrize("noise", [0.0, 1e-4])
+def test_an_exact_symmetry_gives_one_half_each(noise: float) -> None:
+    half = move(rigid(np.eye(3), np.array([1.0, 0.0, 0.0])), partial(teapot(), 500, seed=8))
+    points = np.concatenate([half, half * [-1.0, -1.0, 1.0]])
+    rng = np.random.default_rng(8)
+    target = rng.permutation(move(true_pose(8), points)) + noise * rng.normal(size=points.shape)
+    result = fullturn.register(points, target)
+    assert result.symmetry is not None
+    assert result.symmetry.order == 2
+    assert result.success_probability == pytest.approx(0.5, abs=0.1)
+    assert result.alternatives[0].success_probability == pytest.approx(0.5, abs=0.1)
+
+
 def test_fifty_points() -> None:
     T_true = true_pose(6)
     points = partial(teapot(), 50, seed=6)

@@ -16,8 +16,8 @@ from fullturn.data.draw import ProtocolPairs
 from fullturn.data.protocols import PROTOCOLS
 from fullturn.data.shapes import ProceduralShapes
 from fullturn.errors import InputError, ReadError
-from fullturn.evaluation.fingerprint import fingerprint
 from fullturn.evaluation.metrics import pose_success
+from fullturn.methods.fingerprint import fingerprint
 from fullturn.methods.learned.gmcnet import GMCNet
 from fullturn.methods.learned.weights import load_gmcnet
 from fullturn.methods.registry import get

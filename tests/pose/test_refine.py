@@ -9,7 +9,7 @@ from torch import Tensor
 
 from fullturn.geometry import rigid
 from fullturn.pose.grid import NearestGrid
-from fullturn.pose.refine import refine_poses, tukey
+from fullturn.pose.refine import lay_on_points, refine_poses, tukey
 
 H = 0.045  # about the spacing of 1,200 points on the teapot
 SCALES = (3 * H,) * 4 + (2 * H,) * 4 + (1.2 * H,) * 4
@@ -91,3 +91,21 @@ def test_tukey() -> None:
     along = torch.nn.functional.pad(lengths[:, None], (0, 2))
     expected = torch.tensor([1.0, (1 - 0.25 / 4) ** 2, (1 - 0.25) ** 2, 0.0, 0.0])
     torch.testing.assert_close(tukey(along.T, 2.0), expected)
+
+
+def test_poses_that_lay_points_on_points_become_exact() -> None:
+    points = teapot(900, 1)[0].float()
+    T_true = random_motions(1, seed=2)[0].float()
+    target = rigid.apply(T_true, points[200:])
+    grid = NearestGrid(target, torch.zeros_like(target), cell=0.05, band=0.1)
+    off = perturbations(4, seed=3, angle_deg=0.1, length=1e-3).float()
+    found = lay_on_points(T_true @ off, points, grid, close=0.01)
+    error = (rigid.apply(found, points) - rigid.apply(T_true, points)).norm(dim=-1)
+    assert float(error.max()) < 2e-6
+
+
+def test_other_poses_are_not_laid_on_points() -> None:
+    points, others = (teapot(900, seed)[0].float() for seed in (1, 2))
+    grid = NearestGrid(others, torch.zeros_like(others), cell=0.05, band=0.1)
+    T = torch.cat([torch.eye(4)[None], random_motions(3, seed=4).float()])
+    assert torch.equal(lay_on_points(T, points, grid, close=0.005), T)

@@ -78,12 +78,12 @@ def build(
     from fullturn.data.mvp_rg import MvpRgConfig
     from fullturn.data.sensor import Sensor
     from fullturn.progress import progress_bar
-    from fullturn.workers import Crew, check_workers, one_thread_each
+    from fullturn.workers import Crew, check_workers
 
     count = check_workers(workers)
 
     def run(work: PairMaker, tasks: Iterable[Task], done: Done) -> None:
-        with one_thread_each(), Crew(work, workers=count) as crew:
+        with Crew(work, workers=count) as crew:
             crew.run(tasks, done)
 
     config = MvpRgConfig(

@@ -52,6 +52,9 @@ def fuse(
     from fullturn.io.atomic import check_output
     from fullturn.io.save import CLOUD_SUFFIXES, save_cloud
 
+    if math.isnan(min_probability):
+        raise typer.BadParameter("--min-probability: expected a number from 0.01 to 1, got nan")
+
     # Before the work, so that no result is lost to a wrong file name.
     outputs = ((out, CLOUD_SUFFIXES), (poses, (".json",)), (report, (".html", ".htm")))
     for path, suffixes in outputs:
@@ -64,19 +67,17 @@ def fuse(
 
     from fullturn.fusion.fuse import fuse as run
     from fullturn.io.atomic import write_atomic
-    from fullturn.workers import one_thread_each
 
-    with one_thread_each():
-        fusion = run(
-            scans,
-            viewpoints=eyes,
-            method=method,
-            seed=seed,
-            min_probability=min_probability,
-            workers=workers,
-            cache=cache,
-            progress=True,
-        )
+    fusion = run(
+        scans,
+        viewpoints=eyes,
+        method=method,
+        seed=seed,
+        min_probability=min_probability,
+        workers=workers,
+        cache=cache,
+        progress=True,
+    )
     written = [out]
     save_cloud(out, fusion.points)
     for number, group in enumerate(fusion.groups[1:], start=2):
@@ -99,6 +100,7 @@ def fuse(
 def _read_viewpoints(path: Path) -> list[tuple[float, ...] | None]:
     """One place per line that isn't empty, None for a line that is a hyphen."""
     from fullturn.errors import ReadError
+    from fullturn.io.text import three_numbers
 
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
@@ -106,14 +108,11 @@ def _read_viewpoints(path: Path) -> list[tuple[float, ...] | None]:
         raise ReadError(f"cannot read the viewpoints {path}: {error}; check the file") from error
     places: list[tuple[float, ...] | None] = []
     for number, line in enumerate(lines, start=1):
-        words = line.replace(",", " ").split()
-        if not words:
+        if not line.strip():
             continue
-        try:
-            place = None if words == ["-"] else tuple(map(float, words))
-        except ValueError:
-            place = ()
-        if place is not None and (len(place) != 3 or not all(map(math.isfinite, place))):
+        is_unknown = line.strip() == "-"
+        place = None if is_unknown else three_numbers(line)
+        if place is None and not is_unknown:
             raise ReadError(
                 f"{path}, line {number}: expected three numbers as in 0.1 -2 3, or -, got "
                 f"{line[:80]!r}; change the line"
@@ -128,7 +127,7 @@ def _content(fusion: Fusion, paths: list[str]) -> dict[str, Any]:
         "scans": [
             {
                 "path": path,
-                "group": None if group < 0 else group + 1,
+                "group": None if group < 0 else group,
                 "T_world_scan": None if T is None else T.tolist(),
                 "probability": None if math.isnan(p) else p,
                 "covariance": None if C is None else C.tolist(),

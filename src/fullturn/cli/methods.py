@@ -8,17 +8,20 @@ def methods() -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from fullturn.methods.registry import DEFAULT
+    from fullturn.methods.registry import ALIASES
     from fullturn.methods.registry import methods as registered
 
     table = Table(box=None, pad_edge=False)
     for title in ("name", "what it is", "reference"):
         table.add_column(title, overflow="fold")
     for method in registered():
-        name = f"{method.name} (auto)" if method.name == DEFAULT else method.name
+        also = "".join(f" ({alias})" for alias, home in ALIASES.items() if home == method.name)
         summary = f"{method.summary} [local]" if method.local else method.summary
         if method.missing:
             summary += f' [needs {", ".join(method.missing)}: pip install "fullturn[baselines]"]'
-        table.add_row(name, summary.replace("[", r"\["), method.reference.replace("[", r"\["))
+        table.add_row(
+            method.name + also, summary.replace("[", r"\["), method.reference.replace("[", r"\[")
+        )
     Console().print(table)
-    print("\nYour own: --method file.py:Class or package.module:Class")
+    print("\nOther weights: --method gmcnet@WEIGHTS or gmcnet@WEIGHTS+consensus, by name or path")
+    print("Your own: --method file.py:Class or package.module:Class")

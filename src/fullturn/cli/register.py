@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from fullturn.cli.errors import BELOW_MINIMUM, tell
+from fullturn.cli.outputs import check_outputs
 from fullturn.cli.viewpoint import parse_viewpoint
 
 
@@ -55,7 +56,7 @@ def register(
 ) -> None:
     """Find the pose of SOURCE in the frame of TARGET, and the probability that it is right.
 
-    Files: PLY, PCD, XYZ, TXT, CSV, NPY, NPZ; meshes PLY, OBJ, STL, OFF, GLB.
+    Files: PLY, PCD, XYZ, TXT, CSV, TSV, ASC, PTS, NPY, NPZ; meshes PLY, OBJ, STL, OFF, GLB.
 
     Exit codes: 0 registered, 1 error, 2 wrong usage, 3 below --min-probability.
     """
@@ -68,15 +69,15 @@ def register(
             f"--max-rotation: expected an angle above 0 and up to 180, got {max_rotation:g}"
         )
 
-    from fullturn.io.atomic import check_output
     from fullturn.io.save import CLOUD_SUFFIXES, save_cloud
     from fullturn.io.transform import TRANSFORM_SUFFIXES, write_transform
 
-    # Before the work, so that no result is lost to a wrong file name.
-    outputs = ((out, TRANSFORM_SUFFIXES), (save, CLOUD_SUFFIXES), (report, (".html", ".htm")))
-    for path, suffixes in (*outputs, (figure, (".png",))):
-        if path is not None:
-            check_output(path, suffixes)
+    check_outputs(
+        (out, TRANSFORM_SUFFIXES),
+        (save, CLOUD_SUFFIXES),
+        (report, (".html", ".htm")),
+        (figure, (".png",)),
+    )
 
     from fullturn.io import load_cloud
 

@@ -44,7 +44,8 @@ def scan(
     """Scan a MESH with a virtual depth camera from all around.
 
     Writes view_00.ply and so on, each in its camera's frame, poses.json with the true poses, and
-    contact_sheet.png where matplotlib is installed.
+    contact_sheet.png where matplotlib is installed. Clouds that the folder's poses.json lists and
+    this run doesn't write again are removed.
     """
     from dataclasses import asdict
 
@@ -89,7 +90,9 @@ def scan(
         "sensor": asdict(sensor),
         "plane": plane,
     }
+    earlier = _names(out / "poses.json")
     write_atomic(out / "poses.json", _json(about, entries))
+    _remove(out, earlier - {entry["name"] for entry in entries if entry["points"]})
 
     counts = [entry["points"] for entry in entries]
     blind = [entry["name"] for entry in entries if not entry["points"]]
@@ -130,6 +133,40 @@ def _json(about: dict[str, Any], entries: list[dict[str, Any]]) -> str:
     head = json.dumps(about, indent=1).removesuffix("\n}")
     views = ",\n  ".join(json.dumps(entry) for entry in entries)
     return f'{head},\n "views": [\n  {views}\n ]\n}}\n'
+
+
+def _names(poses: Path) -> set[str]:
+    """The views that an earlier run's poses.json lists; none where it is another file or none."""
+    import json
+    import re
+
+    try:
+        views = json.loads(poses.read_text(encoding="utf-8"))["views"]
+        names = {view["name"] for view in views}
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return set()
+    return {
+        name for name in names if isinstance(name, str) and re.fullmatch("view_[0-9]{2,}", name)
+    }
+
+
+def _remove(folder: Path, names: set[str]) -> None:
+    """Remove an earlier run's clouds, so that nobody takes them for this one's, and say so."""
+    from fullturn.errors import WriteError, one_line
+
+    places = [folder / f"{name}.ply" for name in sorted(names)]
+    places = [place for place in places if place.is_file()]
+    for place in places:
+        try:
+            place.unlink()
+        except OSError as error:
+            raise WriteError(
+                f"cannot remove {one_line(place)} of an earlier run: {error.strerror}; "
+                "remove it yourself"
+            ) from error
+    if places:
+        removed = ", ".join(place.name for place in places)
+        tell(f"removed the clouds that only an earlier run wrote: {removed}")
 
 
 def _read_mesh(path: Path) -> trimesh.Trimesh:

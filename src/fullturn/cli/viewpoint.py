@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-import math
-
 import typer
 
 
 def parse_viewpoint(text: str | None, option: str) -> tuple[float, ...] | None:
-    """Three numbers with commas between them.
+    """Three numbers with commas or spaces between them.
 
     Raises:
         typer.BadParameter: anything else; it names the `option`.
     """
     if text is None:
         return None
-    try:
-        place = tuple(float(x) for x in text.split(","))
-    except ValueError:
-        place = ()
-    if len(place) != 3 or not all(math.isfinite(x) for x in place):
+
+    from fullturn.io.text import three_numbers
+
+    place = three_numbers(text)
+    if place is None:
         raise typer.BadParameter(f"{option}: expected three numbers as in 0.1,-2,3; got {text!r}")
     return place

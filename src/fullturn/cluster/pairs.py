@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import hashlib
 import io
-import math
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -14,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fullturn.errors import InputError, ReadError, one_line
+from fullturn.io.text import three_numbers
 from fullturn.methods.check import check_max_rotation
 
 if TYPE_CHECKING:
@@ -152,9 +152,11 @@ def _cells(path: Path, content: bytes) -> Iterator[tuple[int, list[str]]]:
 
 def _check_header(path: Path, header: list[str]) -> None:
     if missing := [name for name in _NEEDED if name not in header]:
+        other = len(header) == 1 and any(mark in header[0] for mark in ";\t|")
+        what = "separate the columns by commas" if other else f"name a column {missing[0]}"
         raise InputError(
             f"{_name(path)}, line 1: expected the columns source and target, got "
-            f"{one_line(', '.join(header))[:200]}; name a column {missing[0]}"
+            f"{one_line(', '.join(header))[:200]}; {what}"
         )
     if double := sorted({name for name in header if name in _COLUMNS and header.count(name) > 1}):
         raise InputError(
@@ -165,17 +167,13 @@ def _check_header(path: Path, header: list[str]) -> None:
 def _viewpoint(text: str, place: str) -> Viewpoint | None:
     if not text:
         return None
-    words = text.replace(",", " ").split()
-    try:
-        x, y, z = (float(word) for word in words)
-    except ValueError:
-        x = y = z = math.nan
-    if not all(map(math.isfinite, (x, y, z))):
+    viewpoint = three_numbers(text)
+    if viewpoint is None:
         raise InputError(
             f"{place}: expected three numbers as in 0.1 -2 3, got {one_line(text)[:80]}; "
             "leave it empty where the place isn't known"
         )
-    return x, y, z
+    return viewpoint
 
 
 def _number(text: str, place: str) -> float | None:

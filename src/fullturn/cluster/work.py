@@ -16,7 +16,7 @@ import fullturn
 from fullturn.batch import Outcome, outcome_of
 from fullturn.cluster.pairs import PairRow
 from fullturn.errors import FullturnError, InputError, one_line
-from fullturn.evaluation.fingerprint import fingerprint
+from fullturn.methods.fingerprint import REGISTER, fingerprint
 from fullturn.methods.registry import get
 
 # Of a worker's threads, one imports a method's own file; no other may find it half run.
@@ -30,9 +30,9 @@ class Job:
     folder: str  # where relative paths start
     method: str
     seed: int
-    code: str  # the hash of the method's code and of the versions below
+    code: str  # the hash of the code of `register` and its method, and of the versions below
     version: str = fullturn.__version__
-    versions: dict[str, str] = field(default_factory=dict)  # of the packages that it uses
+    versions: dict[str, str] = field(default_factory=dict)  # of the packages that they use
 
 
 def make_job(folder: str, *, method: str, seed: int) -> Job:
@@ -43,7 +43,7 @@ def make_job(folder: str, *, method: str, seed: int) -> Job:
         DependencyError: the method's package is missing.
     """
     get(method)()  # says now, and not once per pair, that a package is missing
-    code, versions = fingerprint(get(method))
+    code, versions = _code_of(method)
     return Job(folder, method, seed, code, versions=versions)
 
 
@@ -142,4 +142,8 @@ def _check_code(job: Job) -> None:
 
 @cache
 def _code_here(method: str) -> tuple[str, dict[str, str]]:
-    return fingerprint(get(method))
+    return _code_of(method)
+
+
+def _code_of(method: str) -> tuple[str, dict[str, str]]:
+    return fingerprint(get(method), roots=REGISTER)

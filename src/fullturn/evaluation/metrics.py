@@ -6,19 +6,16 @@ Errors are per pair: averaging is the caller's, over *all* pairs, failures inclu
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.spatial import ConvexHull, QhullError, cKDTree
-from scipy.spatial.distance import pdist
+from scipy.spatial import cKDTree
 
 from fullturn.errors import InputError
 
 SUCCESS_ANGLE_DEG = 5.0
 SUCCESS_SHARE = 0.05  # of the source's radius
-_MOST_ON_HULL = 4000  # points whose distances are all taken
 
 
 def rotation_error_deg(
@@ -87,17 +84,6 @@ def add_s(
     R_found = found[:3, :3]
     moved = model @ (R_found.T @ true[:3, :3]).T + R_found.T @ (true[:3, 3] - found[:3, 3])
     return float(cKDTree(model).query(moved)[0].mean())
-
-
-def diameter(points: Float[np.ndarray, "n 3"]) -> float:
-    """The largest distance of two points, which lie on the convex hull.
-
-    Of more than 4,000 there, every second, third, … is asked.
-    """
-    with contextlib.suppress(QhullError):  # flat: all points are on it
-        points = points[ConvexHull(points).vertices]
-    points = points[:: -(-len(points) // _MOST_ON_HULL)]
-    return float(pdist(points).max())
 
 
 def rmse(

@@ -19,12 +19,13 @@ from fullturn.data.pair_set import PairSet
 from fullturn.data.provenance import working_tree_commit
 from fullturn.errors import FullturnError, InputError
 from fullturn.evaluation.cache import PredictionCache
-from fullturn.evaluation.fingerprint import describe, fingerprint
 from fullturn.evaluation.predict import Prediction, Predictor, pair_hash
 from fullturn.evaluation.score import Score, ScoredPair, summarize
 from fullturn.io.atomic import make_folder, write_atomic
+from fullturn.methods.base import Method
+from fullturn.methods.fingerprint import fingerprint
 from fullturn.methods.registry import get
-from fullturn.workers import Crew, one_thread_each
+from fullturn.workers import Crew
 
 FORMAT = 1
 
@@ -59,12 +60,12 @@ def evaluate(
         "fullturn": fullturn.__version__,
         "commit": working_tree_commit(),
         "seed": seed,
-        "methods": {n: describe(get(method), prints[n][1]) for n, method in names.items()},
+        "methods": {n: _described(get(method), prints[n][1]) for n, method in names.items()},
         "sets": {},
     }
     timing: dict[str, Any] = {"machine": machine(), "sets": {}}
     files: dict[str, str] = {}
-    with one_thread_each(), Crew(Predictor(seed), workers=workers) as crew:
+    with Crew(Predictor(seed), workers=workers) as crew:
         codes = {name: code for name, (code, _) in prints.items()}
         oracle = _Oracle(names, codes, seed, cache, crew, advance, note)
         for pairs in sets:
@@ -94,6 +95,17 @@ def slug(name: str) -> str:
     'modelnet40-clean-180'
     """
     return "".join(c if c.isalnum() or c in "-_." else "-" for c in name)
+
+
+def _described(method: type[Method], versions: dict[str, str]) -> dict[str, Any]:
+    """What the summary says of a method, with the versions of its packages."""
+    return {
+        "summary": method.summary,
+        "reference": method.reference,
+        "settings": dict(method.settings()),
+        "traits": asdict(method.traits),
+        "versions": versions,
+    }
 
 
 def _checked_names(sets: Sequence[PairSet], methods: Sequence[str]) -> dict[str, str]:
@@ -160,12 +172,8 @@ class _Oracle:
                 caches[name].add(hashes[index], result)
             self.advance(1)
 
-        try:
-            if tasks:
-                self.crew.run(((self.methods[name], pairs[index]) for name, index in tasks), done)
-        finally:
-            for cache in caches.values():
-                cache.close()
+        if tasks:
+            self.crew.run(((self.methods[name], pairs[index]) for name, index in tasks), done)
         return {name: [cache.found[h] for h in hashes] for name, cache in caches.items()}
 
     def _cache(self, set_name: str, name: str) -> PredictionCache:

@@ -12,11 +12,12 @@ import numpy as np
 
 import fullturn
 from fullturn.api import register
+from fullturn.batch import Outcome, attempt
 from fullturn.errors import FullturnError, one_line
-from fullturn.evaluation.fingerprint import fingerprint
 from fullturn.fusion.cache import EdgeCache
 from fullturn.fusion.scans import Body
 from fullturn.io import LoadedCloud
+from fullturn.methods.fingerprint import REGISTER, fingerprint
 from fullturn.methods.registry import get
 from fullturn.result import Registration
 from fullturn.workers import Crew
@@ -73,7 +74,7 @@ def failed_edge(target: int, source: int, error: object) -> Edge:
 
 def pair_key(method: str, seed: int, length: float) -> Callable[[Body, Body], str]:
     """What an edge depends on, hashed: both clouds, the method's code, seed and unit."""
-    code, _ = fingerprint(get(method))
+    code, _ = fingerprint(get(method), roots=REGISTER)
     settings = f"{fullturn.__version__} {code} {seed} {length!r}"
 
     def key(target: Body, source: Body) -> str:
@@ -151,16 +152,15 @@ def _portable(task: tuple[Body, Body, float]) -> tuple[Body, Body, float]:
     return bare[0], bare[1], length
 
 
-def _registered(
-    task: tuple[Body, Body, float], *, method: str, seed: int
-) -> Registration | FullturnError:
+def _registered(task: tuple[Body, Body, float], *, method: str, seed: int) -> Outcome:
     target, source, length = task
     eyes = {
         f"{role}_viewpoint": (body.viewpoint - body.center) / length
         for role, body in (("source", source), ("target", target))
         if body.viewpoint is not None
     }
-    try:
+
+    def work() -> Registration:
         return register(
             LoadedCloud(source.points() / length, name="source"),
             LoadedCloud(target.points() / length, name="target"),
@@ -168,11 +168,8 @@ def _registered(
             seed=seed,
             **eyes,
         )
-    except FullturnError as error:
-        return error.with_traceback(None)  # whose frames would keep the clouds in memory
-    # A fault in one pair must not cost the others their results.
-    except Exception as error:
-        return FullturnError(f"unexpected {type(error).__name__}: {one_line(error)}")
+
+    return attempt(work)
 
 
 def _fields(edge: Edge) -> dict[str, Any]:

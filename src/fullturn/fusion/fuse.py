@@ -21,6 +21,7 @@ from fullturn.fusion.result import FusedEdge, Fusion
 from fullturn.fusion.scans import Scan, check_scans
 from fullturn.fusion.settle import settle_groups
 from fullturn.methods.registry import get
+from fullturn.normalize import Normalization
 from fullturn.threads import torch_threads
 from fullturn.workers import check_workers
 
@@ -46,10 +47,11 @@ def fuse(
     scans are joined where the poses between them are right with at least `min_probability`. Up to
     12 scans, all pairs are registered; of more, the most alike first, until all are connected or 10
     pairs a scan are done. Groups that remain are registered as whole clouds.
-    `workers` as in `register_many`: a script calls this from under ``if __name__ == "__main__":``
-    where there are several. With a `cache` folder, finished pairs are kept, and a fusion that was
-    stopped goes on where it was. The result is the same for any number of workers, and from a
-    cache.
+    `workers` is how many processes register pairs; None: one per CPU. The default, 1, stays in this
+    process, unlike that of `register_many`: several start afresh ("spawn"), so that a script must
+    call this from under ``if __name__ == "__main__":``. With a `cache` folder, finished pairs
+    are kept, and a fusion that was stopped goes on where it was. The result is the same for any
+    number of workers, and from a cache.
 
     Raises:
         InputError: fewer than two usable scans, another argument that cannot be used, or a cache
@@ -124,13 +126,9 @@ def _denormalized(
     for group in placement.groups:
         first = scans[group[0]]
         for number in group:
-            scan, R = scans[number], poses[number, :3, :3]
-            worlds[number, :3, 3] = length * poses[number, :3, 3] + first.center - R @ scan.center
-            x, y, z = scan.center
-            adjoint = np.eye(6)
-            adjoint[3:, :3] = [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]
-            adjoint[3:, 3:] *= length
-            covariances[number] = adjoint @ covariance[number] @ adjoint.T
+            frame = Normalization(scans[number].center, first.center, length)
+            worlds[number] = frame.denormalize(poses[number])
+            covariances[number] = frame.denormalize_covariance(covariance[number])
     return worlds, covariances
 
 

@@ -1,11 +1,7 @@
 """From edges with ranked poses to groups of scans, one pose each: cycles decide.
 
-Every edge between two scans, or two groups of scans, is a measurement of their relative pose: a few
-poses with probabilities p, and a doubt d that none is right. Against a relative pose T it speaks
-with f(T) = Σ p/ε over its poses that agree with T, plus d, where ε is the chance that a wrong pose
-agrees; against "none of these" with f = d. With T's own prior ε, one edge alone gives back its
-probabilities, and edges that agree raise each other's. Paths over a third scan speak in the same
-way, which is how cycles decide.
+What edges say of a relative pose is in `posterior`. Paths over a third scan speak in the same way,
+which is how cycles decide.
 """
 
 from __future__ import annotations
@@ -17,31 +13,19 @@ from itertools import product
 import numpy as np
 
 from fullturn.fusion.edges import Edge
+from fullturn.fusion.posterior import AgreementConfig, Measurement, agree, posterior
 
 
 @dataclass(frozen=True)
-class GraphConfig:
+class GraphConfig(AgreementConfig):
     """When two poses agree, and what it takes to join scans."""
 
-    tolerance_deg: float = 12.0  # two poses agree within this angle
-    tolerance: float = 0.12  # … and this shift, in units of the fusion
-    chance: float = 0.1  # ε; far above a random pose's, for wrong poses of alike scans agree too
-    least_doubt: float = 0.02  # of any edge, however sure it is
     min_probability: float = 0.8  # to join two groups
     # … by one firm edge at least: many weak ones often share one mistake, as on shapes that are
     # nearly symmetric. It doubts no more than this, and gives the pose at least this probability.
     most_doubt: float = 0.3
     least_share: float = 0.2
-    sweeps: int = 4
-
-
-@dataclass(frozen=True, eq=False)
-class Measurement:
-    """What one edge, or one path of two, says of a relative pose."""
-
-    T: np.ndarray  # (k, 4, 4)
-    probability: np.ndarray  # (k,)
-    doubt: float
+    sweeps: int = 4  # rounds in which every scan is asked again; two may send each other to and fro
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,54 +75,6 @@ def placement_at(
     graph = _Graph(len(T_group_scan), _pool(edges), config, start)
     graph.split()
     return graph.placement(edges)
-
-
-def posterior(
-    measurements: Sequence[Measurement], at: np.ndarray, config: GraphConfig
-) -> tuple[np.ndarray, np.ndarray, float]:
-    """Distinct relative poses (h, 4, 4) with their probabilities (h,), best first, and none's.
-
-    Poses agree within the tolerances, the shift taken at the point `at` (3,); each one that is
-    returned is the mean of those that agree with it.
-    """
-    T = np.concatenate([m.T for m in measurements])
-    p = np.concatenate([m.probability for m in measurements])
-    starts = np.cumsum([0, *(len(m.T) for m in measurements[:-1])])
-    doubt = np.log([max(m.doubt, config.least_doubt) for m in measurements])
-    hypotheses = T[np.argsort(-p, kind="stable")[:64]]
-    agreeing = agree(hypotheses, T, at, config) * p / config.chance
-    spoken = np.add.reduceat(agreeing, starts, axis=1) + np.exp(doubt)
-    weight = np.log(spoken).sum(1) + np.log(config.chance)
-    same = agree(hypotheses, hypotheses, at, config)
-    kept: list[int] = []
-    for number in np.argsort(-weight, kind="stable"):
-        if not same[number, kept].any():
-            kept.append(int(number))
-    log = np.array([*weight[kept], doubt.sum()])
-    share = np.exp(log - log.max())
-    share /= share.sum()
-    means = np.stack([_mean(T, agreeing[number], at) for number in kept])
-    return means, share[:-1], float(share[-1])
-
-
-def _mean(T: np.ndarray, weight: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """The weighted mean of poses (m, 4, 4) that are nearly the same, its shift taken at `at`."""
-    share = weight / weight.sum()
-    U, _, Vt = np.linalg.svd(np.tensordot(share, T[:, :3, :3], 1))
-    result = np.eye(4)
-    result[:3, :3] = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
-    result[:3, 3] = share @ (T[:, :3, :3] @ at + T[:, :3, 3]) - result[:3, :3] @ at
-    return result
-
-
-def agree(one: np.ndarray, other: np.ndarray, at: np.ndarray, config: GraphConfig) -> np.ndarray:
-    """Which poses (m, 4, 4) and (n, 4, 4) are the same within the tolerances: bool (m, n)."""
-    trace = np.einsum("mij,nij->mn", one[:, :3, :3], other[:, :3, :3])
-    close = trace > 1.0 + 2.0 * np.cos(np.deg2rad(config.tolerance_deg))
-    places = [T[:, :3, :3] @ at + T[:, :3, 3] for T in (one, other)]
-    shift = np.linalg.norm(places[0][:, None] - places[1][None], axis=-1)
-    result: np.ndarray = close & (shift < config.tolerance)
-    return result
 
 
 def _pool(edges: Sequence[Edge]) -> dict[frozenset[int], list[Edge]]:

@@ -15,8 +15,15 @@ from fullturn.pose.residuals import normal_equations
 
 _ROUNDS = 12
 _LEAST_SHARE = 0.03  # of a scan's points near the other: below, two scans don't overlap
-_SETTLED = 1e-5
-_DAMPING = 1e-6
+# Steps are in radians and in units of the fusion.
+_LARGEST_STEP = 0.1  # small enough for the equations, which are linear in it
+_SETTLED = 1e-5  # far below what noise leaves open
+_DAMPING = 1e-6  # of H's mean diagonal: solvable also where a flat scan may slide
+_REACH = 6.0  # deviations; more than Tukey's four, as points lie apart along the surface, too
+_STEADY = 0.9  # a reach that shrinks by less than a tenth shrinks no more
+_DEVIATION = 0.6745  # the median of |x| for a standard normal x
+_TUKEY = 4.0  # what is so many deviations off doesn't belong together
+_ALIKE = 0.5  # least |cos| between normals, 60°: surfaces that cross aren't the same one
 
 
 def refine_joint(
@@ -44,11 +51,11 @@ def refine_joint(
         # The first scan is the frame.
         step = torch.zeros_like(g)
         step[6:] = -torch.linalg.solve(H[6:, 6:], g[6:])
-        step = step.view(-1, 6).clamp(-0.1, 0.1)
+        step = step.view(-1, 6).clamp(-_LARGEST_STEP, _LARGEST_STEP)
         T = rigid.exp_se3(step) @ T
         T = rigid.make(nearest_rotation(T[:, :3, :3]), T[:, :3, 3])
-        shrunk = max(closest, min(reach, 6.0 * float(sigma)))
-        if float(step.abs().max()) < _SETTLED and shrunk > 0.9 * reach:
+        shrunk = max(closest, min(reach, _REACH * float(sigma)))
+        if float(step.abs().max()) < _SETTLED and shrunk > _STEADY * reach:
             break
         reach = shrunk
     return T
@@ -76,11 +83,10 @@ def _equations(
     if not found:
         return H.view(6 * count, -1), g.view(-1), T.new_tensor(torch.inf)
     heights = torch.cat([(difference * normal).sum(-1) for *_, difference, normal in found])
-    sigma = heights.abs().median() / 0.6745 + 1e-9
+    sigma = heights.abs().median() / _DEVIATION + 1e-9
     for i, j, at, difference, normal in found:
         height = (difference * normal).sum(-1)
-        # Tukey: what is four deviations off doesn't belong together.
-        weight = (1.0 - (height / (4.0 * sigma)).square()).clamp_min(0).square()
+        weight = (1.0 - (height / (_TUKEY * sigma)).square()).clamp_min(0).square()
         block, pull = normal_equations(at, difference, normal, weight)
         H[i, :, i] += block
         H[j, :, j] += block
@@ -108,10 +114,9 @@ def _near(
     if float(near.double().mean()) < _LEAST_SHARE:
         return None
     R_i = T[i, :3, :3]
-    # Two sides of a thin wall are near one another and not the same surface.
     own = normals[i][near] @ T_j_i[:3, :3].mT
     other = normals[j][partner[near]]
-    alike = (own * other).sum(-1).abs() > 0.5
+    alike = (own * other).sum(-1).abs() > _ALIKE
     difference = (moved[near] - points[j][partner[near]])[alike] @ T[j, :3, :3].mT
     at = points[i][near][alike] @ R_i.mT + T[i, :3, 3]
     return at, difference, other[alike] @ T[j, :3, :3].mT

@@ -24,7 +24,8 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from fullturn.fusion.edges import Edge
-from fullturn.fusion.graph import GraphConfig, agree, inverse
+from fullturn.fusion.graph import GraphConfig, inverse
+from fullturn.fusion.posterior import agree
 from fullturn.fusion.scans import Scan
 from fullturn.fusion.sight import Sights
 from fullturn.geometry.sampling import point_spacing, voxel_sample
@@ -286,4 +287,4 @@ def _maps_onto_itself(points: np.ndarray, motion: np.ndarray) -> bool:
     # Two samples of one surface do not lie on one another.
     gap = tree.query(some, k=2)[0][:, 1].mean()
     size = float(np.linalg.norm(np.ptp(points, axis=0)))
-    return float(max(away)) - gap < _SAME * size
+    return bool(max(away) - gap < _SAME * size)

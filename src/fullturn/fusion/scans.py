@@ -16,9 +16,10 @@ from torch import Tensor
 from fullturn.errors import FullturnError, InputError
 from fullturn.geometry.cloud import Cloud
 from fullturn.io import LoadedCloud, load_cloud
+from fullturn.io.check import as_viewpoint
+from fullturn.normalize import center_and_radius
 
 _SAMPLE_POINTS = 4_000  # per scan, for the joint refinement
-_RADIUS_QUANTILE = 0.99  # a few stray points don't count
 _UNLIKE_SIZE, _UNLIKE_SPACING = 10.0, 10.0
 
 
@@ -111,20 +112,10 @@ def check_viewpoints(viewpoints: Sequence[Any] | None, count: int) -> list[np.nd
             f"viewpoints: expected one per scan, {count}, got {len(viewpoints)}; give None where "
             "a sensor's place isn't known"
         )
-    return [None if eye is None else _place(number, eye) for number, eye in enumerate(viewpoints)]
-
-
-def _place(number: int, viewpoint: Any) -> np.ndarray:
-    try:
-        place = np.array(viewpoint, dtype=np.float64)
-    except (ValueError, TypeError):
-        place = np.zeros(0)
-    if place.shape != (3,) or not np.isfinite(place).all():
-        raise InputError(
-            f"viewpoints: expected three finite numbers for scan {number + 1}, where its sensor "
-            f"stood in the scan's own frame, or None; got {viewpoint!r:.80}"
-        )
-    return place
+    return [
+        as_viewpoint(eye, f"viewpoints: scan {number}", frame="scan's own")
+        for number, eye in enumerate(viewpoints, start=1)
+    ]
 
 
 def _scan(number: int, cloud: Any, eye: np.ndarray | None) -> Scan:
@@ -132,8 +123,7 @@ def _scan(number: int, cloud: Any, eye: np.ndarray | None) -> Scan:
     role = None if is_file or isinstance(cloud, LoadedCloud) else f"scan {number + 1}"
     loaded = load_cloud(cloud, name=role)
     points = loaded.points
-    # Taking one point off first keeps the mean exact far from the origin.
-    center = points[0] + (points - points[0]).mean(axis=0)
+    center, radius = center_and_radius(points)
     seen = Cloud(torch.from_numpy(points - center))
     every = -(-len(seen.sample) // _SAMPLE_POINTS)
     points_key = hashlib.sha256(points.tobytes()).hexdigest()
@@ -146,7 +136,7 @@ def _scan(number: int, cloud: Any, eye: np.ndarray | None) -> Scan:
         name=loaded.name,
         points_key=points_key,
         count=len(points),
-        radius=float(np.quantile(np.linalg.norm(points - center, axis=1), _RADIUS_QUANTILE)),
+        radius=radius,
         spacing=seen.spacing,
         sample=seen.sample[::every].clone(),  # a view would keep all points in memory
         sample_normals=seen.sample_normals[::every].clone(),

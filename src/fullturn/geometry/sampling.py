@@ -104,6 +104,15 @@ def point_spacing(points: Float[Tensor, "n 3"], *, index: NeighborIndex | None =
     return float(distance.median())
 
 
+def evenly(rows: int, about: int) -> slice:
+    """About so many of the rows, evenly over all of them; all where they are fewer.
+
+    >>> list(range(10))[evenly(10, 5)]
+    [0, 2, 4, 6, 8]
+    """
+    return slice(None, None, max(1, round(rows / about)))
+
+
 def local_area(points: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
     """Surface area that each point stands for, up to a common factor: 1 on average.
 

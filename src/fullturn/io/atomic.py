@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import os
 import tempfile
+from contextlib import suppress
 from pathlib import Path
 
 from fullturn.errors import WriteError, one_line
+
+_NO_PLACE = (OSError, ValueError, RuntimeError)  # ValueError: a zero byte; RuntimeError: link loops
 
 
 def write_atomic(path: str | os.PathLike[str], content: bytes | str) -> None:
@@ -18,7 +21,7 @@ def write_atomic(path: str | os.PathLike[str], content: bytes | str) -> None:
     Raises:
         WriteError: the folder is missing or not writable, or `path` is a folder.
     """
-    goal = check_output(path)
+    goal = _goal(path, ())
     data = content.encode() if isinstance(content, str) else content
     temporary: str | None = None
     try:
@@ -32,40 +35,30 @@ def write_atomic(path: str | os.PathLike[str], content: bytes | str) -> None:
         os.chmod(temporary, _mode_of(goal))
         os.replace(temporary, goal)
         temporary = None
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or one_line(error)
-        raise WriteError(
-            f"cannot write {one_line(path)}: {reason}; choose a place that can be written"
-        ) from error
+    except _NO_PLACE as error:
+        raise _cannot_write(path, error) from error
     finally:
         if temporary is not None and os.path.exists(temporary):
             os.unlink(temporary)
 
 
 def check_output(path: str | os.PathLike[str], suffixes: tuple[str, ...] = ()) -> Path:
-    """Check, before the work is done, that an output can go to `path`: suffix and folder.
+    """Check, before the work is done, that an output can go to `path`; writes nothing that stays.
 
     Raises:
-        WriteError: none of `suffixes` (if any are given), no such folder, or a folder itself.
+        WriteError: none of `suffixes` (if any are given), no such folder, a folder itself, or a
+            place where no file can be made.
     """
-    goal, name = Path(path), one_line(path)
-    suffix = goal.suffix.lower()
-    if suffixes and suffix not in suffixes:
-        raise WriteError(
-            f"cannot write {name}: expected a file name that ends in one of "
-            f"{', '.join(suffixes)}, found {one_line(suffix) if suffix else 'no suffix'}; "
-            "choose one of these"
-        )
+    goal = _goal(path, suffixes)
     try:
-        if not goal.parent.is_dir():
-            raise WriteError(
-                f"cannot write {name}: expected an existing folder, {one_line(goal.parent)} "
-                "is none; create it first"
-            )
-        if goal.is_dir():
-            raise WriteError(f"cannot write {name}: it is a folder; add a file name to it")
-    except ValueError as error:  # a zero byte in the path
-        raise WriteError(f"cannot write {name}: {error}; choose another name") from error
+        real = goal.resolve()
+        with suppress(FileNotFoundError):
+            real.stat()  # a name that is too long fails here
+        # Where `write_atomic` makes its temporary file, too: a rename asks for no more than that.
+        with tempfile.TemporaryFile(dir=real.parent):
+            pass
+    except _NO_PLACE as error:
+        raise _cannot_write(path, error) from error
     return goal
 
 
@@ -84,6 +77,37 @@ def make_folder(path: str | os.PathLike[str]) -> Path:
             f"cannot make the folder {one_line(path)}: {reason}; choose another one"
         ) from error
     return folder
+
+
+def _goal(path: str | os.PathLike[str], suffixes: tuple[str, ...]) -> Path:
+    """The path, if its suffix is right and its folder is one."""
+    goal, name = Path(path), one_line(path)
+    suffix = goal.suffix.lower()
+    if suffixes and suffix not in suffixes:
+        raise WriteError(
+            f"cannot write {name}: expected a file name that ends in one of "
+            f"{', '.join(suffixes)}, found {one_line(suffix) if suffix else 'no suffix'}; "
+            "choose one of these"
+        )
+    try:
+        in_folder, is_folder = goal.parent.is_dir(), goal.is_dir()
+    except _NO_PLACE as error:
+        raise _cannot_write(path, error) from error
+    if not in_folder:
+        raise WriteError(
+            f"cannot write {name}: expected an existing folder, {one_line(goal.parent)} "
+            "is none; create it first"
+        )
+    if is_folder:
+        raise WriteError(f"cannot write {name}: it is a folder; add a file name to it")
+    return goal
+
+
+def _cannot_write(path: str | os.PathLike[str], error: Exception) -> WriteError:
+    reason = getattr(error, "strerror", None) or one_line(error)
+    return WriteError(
+        f"cannot write {one_line(path)[:200]}: {reason}; choose a place that can be written"
+    )
 
 
 def _mode_of(goal: Path) -> int:

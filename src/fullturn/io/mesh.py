@@ -23,8 +23,8 @@ def read_mesh(data: bytes, suffix: str, name: str) -> Raw:
     """
     if suffix == ".stl":
         _check_stl(data, name)
-    if suffix == ".off":
-        _check_off(data, name)
+    if suffix == ".off" and (points := _off_cloud(data, name)) is not None:
+        return _cloud(points, name)
     import trimesh
 
     logger = logging.getLogger("trimesh")
@@ -52,7 +52,7 @@ def read_mesh(data: bytes, suffix: str, name: str) -> Raw:
     finally:
         logger.setLevel(level)
     if len(faces) == 0 and suffix == ".obj":
-        return Raw(_obj_vertices(data, name), notes=(f"{name}: no faces, its vertices are used",))
+        return _cloud(_obj_vertices(data, name), name)
     if len(faces) == 0:
         raise ReadError(
             f"{name}: expected a mesh with triangles, found none; it is truncated or damaged"
@@ -116,7 +116,12 @@ def _check_stl(data: bytes, name: str) -> None:
         )
 
 
-def _check_off(data: bytes, name: str) -> None:
+def _cloud(points: np.ndarray, name: str) -> Raw:
+    return Raw(points, notes=(f"{name}: no faces, its vertices are used",))
+
+
+def _off_cloud(data: bytes, name: str) -> np.ndarray | None:
+    """The vertices of an OFF file that announces no faces; of another one, only the check."""
     # trimesh ignores missing faces; counting numbers finds them however the lines are broken.
     words = b" ".join(line.split(b"#", 1)[0] for line in data.splitlines()).split()
     try:
@@ -132,6 +137,15 @@ def _check_off(data: bytes, name: str) -> None:
             f"{name}: expected {vertices} vertices and {faces} faces, the file ends before; "
             "it is truncated or damaged"
         )
+    if faces != 0 or vertices <= 0:
+        return None
+    try:  # With colors or normals, a vertex has more numbers than three.
+        return np.array(words[4:], dtype=np.float64).reshape(vertices, -1)[:, :3]
+    except ValueError as error:
+        raise ReadError(
+            f"{name}: expected as many numbers for each of {vertices} vertices, found "
+            f"{len(words) - 4} words; the file is damaged"
+        ) from error
 
 
 def _obj_vertices(data: bytes, name: str) -> np.ndarray:

@@ -3,21 +3,35 @@
 from __future__ import annotations
 
 import io
+import math
+import re
 
 import numpy as np
 
 from fullturn.errors import ReadError, one_line
 from fullturn.io.raw import Raw
 
+_PLACE = "p|pos|position|pt|pts|point|points|coord|coords|coordinate|coordinates|loc|location"
+_UNIT = "[mcdknuµ]?m|in|inch|inches|ft|feet|meters?|metres?|(?:milli|centi)met(?:er|re)s?"
+# Of a name in lower case whose other marks became spaces: "pos x", "x mm"; "points 0" (ParaView).
+_AXIS = re.compile(rf"(?:(?:{_PLACE}) ?)?([xyz])(?: (?:{_PLACE}))?(?: (?:{_UNIT}))?")
+_NUMBERED = re.compile(rf"(?:{_PLACE}) ([012])")
+# "[m]" or "(mm)" after a name, but not "[x]" or "[0]".
+_BRACKETS = re.compile(r"\s*[\[({](?!\s*[xyz012]\s*[\])}])[^\])}]*[\])}]", re.IGNORECASE)
+_DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d+)?")
+
 
 def read_text(data: bytes, name: str) -> Raw:
     """Points from lines of numbers: the columns named x, y and z, or else the first three.
 
     Spaces, tabs, commas or semicolons separate; `#` starts a comment. The first line may be a
-    header, or the number of points that follow; other columns are ignored.
+    header, or the number of points that follow; a comment directly above the data that names every
+    column is a header, too. Names may have a unit and say what they are: `X [m]`, `pos_x`, `px`,
+    `Points:0`. Other columns are ignored.
 
     Raises:
-        ReadError: binary data, a line without three numbers, fewer lines than announced.
+        ReadError: binary data, a line without three numbers, fewer lines than announced, more than
+            three columns and a header that names none of them x, y and z.
     """
     if b"\0" in data[:4096]:
         raise ReadError(f"{name}: expected text, found binary data; check the file or its suffix")
@@ -27,32 +41,30 @@ def read_text(data: bytes, name: str) -> Raw:
         raise ReadError(
             f"{name}: expected UTF-8 text, found other bytes; check the file or its suffix"
         ) from error
-    first = next((i for i, line in enumerate(lines) if _content(line)), None)
+    first = _next(lines, 0)
     if first is None:
         return Raw(np.zeros((0, 3)))
-    columns, announced = [0, 1, 2], None
-    head = _content(lines[first])
-    separator = _separator(head)
-    words = [w.strip().strip('"') for w in head.split(separator) if w.strip()]
-    if len(words) == 1 and words[0].isdigit():
-        announced = int(words[0])
+    header, announced = None, None
+    words = _split(_content(lines[first]), _separator(lines[first]))
+    word = next(filter(None, words), "")
+    if len(words) == 1 and word.isdecimal():
+        announced = int(word)
         first += 1
-    elif not _is_number(words[0]):
-        columns = _named(words)
+    elif not _is_number(word.replace(",", ".")):
+        header = lines[first]
         first += 1
-    rest = next((_content(line) for line in lines[first:] if _content(line)), "")
-    if not rest:
+    start = _next(lines, first)
+    if start is None:
         return Raw(np.zeros((0, 3)))
+    if header is None:
+        above = next((line for line in reversed(lines[:start]) if line.strip()), "")
+        header = above if above.lstrip().startswith("#") else None
+    columns, separator = _columns(header, lines[start], name)
     try:
-        text = io.StringIO("\n".join(lines[first:]))
-        points = np.loadtxt(
-            text, usecols=columns, ndmin=2, comments="#", delimiter=_separator(rest)
-        )
+        text = io.StringIO("\n".join(line for line in lines[start:] if not line.isspace()))
+        points = np.loadtxt(text, usecols=columns, ndmin=2, comments="#", delimiter=separator)
     except (ValueError, IndexError, OverflowError) as error:
-        raise ReadError(
-            f"{name}: expected three numbers per line, separated by spaces, tabs, commas or "
-            f"semicolons: {one_line(error)[:200]}; correct that line"
-        ) from error
+        raise _line_error(lines, start, columns, separator, name, error) from error
     if announced is not None and len(points) != announced:
         raise ReadError(
             f"{name}: its first line announces {announced} points, {len(points)} came; "
@@ -61,13 +73,39 @@ def read_text(data: bytes, name: str) -> Raw:
     return Raw(points)
 
 
+def three_numbers(text: str) -> tuple[float, float, float] | None:
+    """Three finite numbers with commas or spaces between them; None where it isn't that.
+
+    >>> three_numbers("0.1, -2 3")
+    (0.1, -2.0, 3.0)
+    """
+    try:
+        x, y, z = map(float, text.replace(",", " ").split())
+    except ValueError:
+        return None
+    return (x, y, z) if all(map(math.isfinite, (x, y, z))) else None
+
+
+def _next(lines: list[str], first: int) -> int | None:
+    """The index of the next line that is more than a comment."""
+    return next((i for i in range(first, len(lines)) if _content(lines[i])), None)
+
+
 def _content(line: str) -> str:
     """The line without comment and blanks; `//` headers (CloudCompare) lose their mark."""
     return line.split("#", 1)[0].strip().removeprefix("//").strip()
 
 
 def _separator(line: str) -> str | None:
-    return next((mark for mark in ";," if mark in line), None)
+    return next((mark for mark in ";," if mark in line.split("#", 1)[0]), None)
+
+
+def _split(text: str, separator: str | None) -> list[str]:
+    """The words without quotes; empty ones stay, but not at the end."""
+    words = [word.strip().strip("\"'").strip() for word in text.split(separator)]
+    while words and not words[-1]:
+        words.pop()
+    return words
 
 
 def _is_number(word: str) -> bool:
@@ -78,8 +116,78 @@ def _is_number(word: str) -> bool:
     return True
 
 
-def _named(words: list[str]) -> list[int]:
-    names = [word.lower() for word in words]
-    if all(axis in names for axis in "xyz"):
-        return [names.index(axis) for axis in "xyz"]
-    return [0, 1, 2]
+def _columns(header: str | None, row: str, name: str) -> tuple[list[int], str | None]:
+    """Which columns of the data are x, y and z, and what separates them."""
+    separator = _separator(row)
+    first_three = [0, 1, 2], separator
+    if header is None:
+        return first_three
+    text = header.strip(" ").removeprefix("//")
+    comment = text.startswith(("#", "%"))
+    if comment:  # "# columns: x y z" begins with a word that is no name.
+        text = re.sub(r"^[^,;\t:]*:\s+", "", text.lstrip("#%").strip(" "))
+    else:
+        text = text.split("#", 1)[0]
+    text, mark = _BRACKETS.sub("", text), _separator(text)
+    if mark is None and text.count("\t") == row.split("#", 1)[0].count("\t") > 0:
+        mark = separator = "\t"  # both lines have as many: one alone separates
+    names, count = _split(text, mark), len(_split(row.split("#", 1)[0], separator))
+    columns = _axes(names)
+    if comment and len(names) != count:
+        return first_three
+    if columns is not None:
+        return columns, separator
+    # Words in a comment may be a sentence, and so may another number of them in the first line.
+    if len(names) == count > 3 and (mark is not None or not comment):
+        raise ReadError(
+            f"{name}: expected columns x, y, z in the header, got "
+            f"{one_line(', '.join(names))[:200]}; name the three columns x, y and z, or remove the "
+            "header if they are the first three"
+        )
+    return [0, 1, 2], separator
+
+
+def _axes(names: list[str]) -> list[int] | None:
+    """The columns of three names that differ in nothing but x, y and z."""
+    found: dict[str, dict[str, int]] = {}
+    for column, name in enumerate(names):
+        plain = re.sub(r"[^\w]+|_+", " ", name.lower()).strip()
+        if match := _AXIS.fullmatch(plain) or _NUMBERED.fullmatch(plain):
+            rest = f"{plain[: match.start(1)]}*{plain[match.end(1) :]}"
+            axis = match[1].translate(str.maketrans("012", "xyz"))
+            found.setdefault(rest, {}).setdefault(axis, column)
+    triples = {rest: columns for rest, columns in found.items() if len(columns) == 3}
+    best = triples.get("*") or next(iter(triples.values()), None)
+    return None if best is None else [best[axis] for axis in "xyz"]
+
+
+def _line_error(
+    lines: list[str],
+    start: int,
+    columns: list[int],
+    separator: str | None,
+    name: str,
+    error: Exception,
+) -> ReadError:
+    """Names the line that NumPy could not read; NumPy itself counts rows of the data from 0."""
+    expected = "expected three numbers per line"
+    if columns != [0, 1, 2]:
+        expected += " in the columns {}, {} and {}".format(*(column + 1 for column in columns))
+    expected += ", separated by spaces, tabs, commas or semicolons"
+    for number, line in enumerate(lines[start:], start=start + 1):
+        text = line.split("#", 1)[0]
+        words = text.split(separator)
+        if not text.strip() or (
+            len(words) > max(columns)
+            and all(_is_number(words[i]) and "_" not in words[i] for i in columns)
+        ):
+            continue
+        came = f"{name}, line {number}: {expected}, got {one_line(text)[:80]}"
+        parts = re.split(r"[;\s]+", text.strip(" ;\t"))
+        commas = [_DECIMAL_COMMA.fullmatch(part) for part in parts]
+        if any(commas) and all(
+            comma or _is_number(part) for comma, part in zip(commas, parts, strict=True)
+        ):
+            return ReadError(f"{came}; it has decimal commas, write decimal points: 0.5, not 0,5")
+        return ReadError(f"{came}; correct that line")
+    return ReadError(f"{name}: {expected}: {one_line(error)[:200]}; correct that line")

@@ -12,6 +12,7 @@ from fullturn.features.surface import surface_histogram
 from fullturn.geometry.normals import estimate_normals
 from fullturn.geometry.sampling import local_area, voxel_sample
 from fullturn.nn.surface import load_surface_net
+from fullturn.pose.search import NO_WEIGHTS
 
 _NORMAL_NEIGHBORS = 20
 _HISTOGRAM_RADIUS = 12.0  # point spacings, where the package has no descriptor weights
@@ -25,6 +26,11 @@ class Described:
     normals: Float[Tensor, "n 3"]  # away from the mean of the points
     area: Float[Tensor, " n"]  # that each point stands for, 1 on average
     descriptors: Float[Tensor, "n c"]  # of unit length
+
+
+def descriptor_notes() -> tuple[str, ...]:
+    """What a user should know of the descriptors."""
+    return () if load_surface_net() is not None else (NO_WEIGHTS,)
 
 
 def describe(

@@ -16,7 +16,7 @@ from fullturn.pose.planes import move_planes
 from fullturn.pose.verdict import load_weights, log_probabilities, same_pose, verdict_inputs
 
 SAME_SURFACE = 0.05  # of the diameter: the farthest that a point of one placement is off the other
-_COMPARED = 600  # points of the surface
+_COMPARED = 600  # points of the surface at least, where it has them
 _APART = 0.2  # share of common points below which two poses are of two instances, not rivals
 
 
@@ -27,6 +27,11 @@ class Judged:
     index: list[int]  # into the poses that were asked about
     pose: list[float]  # probability that the true pose is within 5° and 5 % of the radius of it
     surface: list[float]  # probability that the surface lies there, however the model is turned
+
+    def at_most(self, limit: float) -> Judged:
+        """All probabilities scaled alike, where the largest is above the limit."""
+        scale = min(1.0, limit / max(*self.surface, 1e-9))
+        return Judged(self.index, [scale * p for p in self.pose], [scale * p for p in self.surface])
 
 
 def same_surface(

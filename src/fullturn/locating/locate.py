@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -24,6 +23,7 @@ from fullturn.locating.result import Located, Location, OtherPose
 from fullturn.locating.scene import SceneParts, free_parts, take_apart
 from fullturn.locating.search import LocateConfig
 from fullturn.locating.store import SUFFIX, load_prepared
+from fullturn.normalize import Normalization, center_and_radius
 from fullturn.pose.grid import NearestGrid
 from fullturn.threads import torch_threads
 
@@ -35,7 +35,9 @@ _MOST_ALTERNATIVES = 9
 # The probabilities were fit on parts of a few hundred points. Of fewer than this, little is known,
 # and they are at most so large.
 _KNOWN_POINTS, _UNKNOWN = 40, 0.2
-_EXPLAINED = 2.5  # spacings around a located model, within which points are of it
+# Spacings around a located model within which points are no other instance's: wider than what
+# counts as lying on it (`verify.ON_MODEL`), so that no rim of it is left to be searched again.
+_TAKEN = 2.5
 
 
 @torch_threads(1)
@@ -68,9 +70,10 @@ def locate(
     loaded = time.perf_counter()
     prepared = _prepared(model)
     ready = time.perf_counter()
-    frame = _Frame(cloud.points[0] + (cloud.points - cloud.points[0]).mean(axis=0), prepared)
-    points = frame.normalized(cloud.points)
-    viewpoint = None if eye is None else frame.normalized(eye)
+    center, _ = center_and_radius(cloud.points)
+    frame = Normalization(prepared.center.numpy(force=True), center, prepared.radius)
+    points = torch.from_numpy((cloud.points - center) / prepared.radius)
+    viewpoint = None if eye is None else torch.from_numpy((eye - center) / prepared.radius)
     parts = take_apart(points, viewpoint, prepared)
     notes = (*prepared.notes, *cloud.notes, *_size_notes(points, prepared))
     _check_scene(parts, points, prepared, cloud.name)
@@ -106,7 +109,6 @@ class _Place:
 
     found: Candidates
     judged: Judged
-    points: int
 
 
 @dataclass(eq=False)
@@ -119,7 +121,7 @@ class _Search:
     _known: dict[bytes, _Place] = field(default_factory=dict)
 
     def places(self) -> Iterator[_Place]:
-        """The most probable place; then that among the points that it leaves unexplained.
+        """The most probable place; then that among the points that it leaves free.
 
         Parts are looked at from the largest on; where the model surely is in one, no others are.
         """
@@ -137,10 +139,10 @@ class _Search:
             if best is None:
                 return
             yield best
-            explained = self._explained(best, grid)
-            if not bool((free & explained).any()):
+            taken = self._taken(best, grid)
+            if not bool((free & taken).any()):
                 return
-            free &= ~explained
+            free &= ~taken
 
     def _place(self, members: Tensor, grid: NearestGrid) -> _Place:
         key = members.numpy(force=True).tobytes()
@@ -148,40 +150,23 @@ class _Search:
             found = candidates(self.scene, members, self.model, grid, self.config)
             T = found.T_scene_model.float()
             judged = judge(T, found.features, found.explained, self.model, grid)
-            self._known[key] = _Place(found, judged, int(members.sum()))
+            if int(members.sum()) < _KNOWN_POINTS:
+                judged = judged.at_most(_UNKNOWN)
+            self._known[key] = _Place(found, judged)
         return self._known[key]
 
-    def _explained(self, place: _Place, grid: NearestGrid) -> Tensor:
+    def _taken(self, place: _Place, grid: NearestGrid) -> Tensor:
         T = place.found.T_scene_model[place.judged.index[0]]
         there = rigid.apply(rigid.invert(T), self.scene.points).float()
         difference, _ = grid.nearest(there.T)
-        return difference.norm(dim=0) < _EXPLAINED * self.scene.spacing
+        return difference.norm(dim=0) < _TAKEN * self.scene.spacing
 
 
-@dataclass(frozen=True, eq=False)
-class _Frame:
-    """x_normalized = (x − center) / radius, for the scene; the model has its own center."""
-
-    center: np.ndarray
-    model: PreparedModel
-
-    def normalized(self, points: np.ndarray) -> Tensor:
-        return torch.from_numpy((points - self.center) / self.model.radius)
-
-    def denormalized(self, T_scene_model: Tensor) -> np.ndarray:
-        T = T_scene_model.numpy(force=True).astype(np.float64)
-        shift = self.center - T[:3, :3] @ self.model.center.numpy(force=True)
-        T[:3, 3] = self.model.radius * T[:3, 3] + shift
-        return T
-
-
-def _location(place: _Place, frame: _Frame) -> Location:
+def _location(place: _Place, frame: Normalization) -> Location:
     judged, found = place.judged, place.found
-    scale = 1.0
-    if place.points < _KNOWN_POINTS:
-        scale = min(1.0, _UNKNOWN / max(max(judged.surface), 1e-9))
+    T_scene_model = found.T_scene_model.numpy(force=True)
     kept = [
-        OtherPose(frame.denormalized(found.T_scene_model[index]), scale * pose, scale * surface)
+        OtherPose(frame.denormalize(T_scene_model[index]), pose, surface)
         for rank, (index, pose, surface) in enumerate(
             zip(judged.index, judged.pose, judged.surface, strict=True)
         )

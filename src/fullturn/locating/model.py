@@ -14,10 +14,10 @@ from torch import Tensor
 
 from fullturn.data.camera import bounding_ball
 from fullturn.errors import InputError
-from fullturn.evaluation.metrics import diameter
+from fullturn.geometry.diameter import diameter
 from fullturn.geometry.normals import estimate_normals
 from fullturn.geometry.sampling import local_area, point_spacing, voxel_sample
-from fullturn.locating.describe import describe
+from fullturn.locating.describe import describe, descriptor_notes
 from fullturn.locating.source import load_model
 from fullturn.locating.views import View, views_of_cloud, views_of_mesh
 from fullturn.threads import torch_threads
@@ -134,7 +134,7 @@ def prepare(model: Any, *, config: ModelConfig = ModelConfig()) -> PreparedModel
         spacing=_spacing([voxel_sample(cloud, fine_voxel)[0] for cloud in clouds]),
         levels=levels,
         config=config,
-        notes=source.notes,
+        notes=(*source.notes, *descriptor_notes()),
     )
 
 

@@ -31,7 +31,9 @@ class Location:
     # a turn of a symmetric model onto itself counts as right.
     surface_probability: float
     visible_share: float  # of the model's outside that is seen in the scene and lies on it
-    points: int  # of the thinned scene that lie on the model
+    # Of the part of the scene that the model was found in, thinned to one point a voxel, as the
+    # model was: those within two point spacings of the model's surface.
+    points: int
     alternatives: tuple[OtherPose, ...]  # ranked, without the pose itself
 
 

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from fullturn.geometry import rigid
-from fullturn.geometry.sampling import point_spacing
+from fullturn.geometry.sampling import evenly, point_spacing
 from fullturn.locating.describe import describe
 from fullturn.locating.model import DescribedViews, PreparedModel
 from fullturn.locating.part import Part
@@ -18,6 +18,7 @@ from fullturn.matching.correspondence import Matches, candidate_matches
 from fullturn.pose import hypotheses
 from fullturn.pose.grid import NearestGrid
 from fullturn.pose.refine import refine_poses
+from fullturn.pose.search import FIRST_SCALES
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,7 @@ class LocateConfig:
     polished_points: int = 800
     modes: int = 64  # distinct poses that are refined
     mode_radius: float = 2.0  # RMS displacement that makes two poses distinct
-    finalists: int = 24  # distinct poses that are refined on all points and measured
+    finalists: int = 24  # distinct poses that are refined on `polished_points` and measured
     finalist_share: float = 0.6  # of the best one's score, below which a pose is dropped
 
 
@@ -65,7 +66,7 @@ def find_poses(
         limit=config.modes,
     )
     some = _Sampled(part, model, model_grid, config.refined_points)
-    T = some.refine(T[kept], scales=(3 * h,) * 3 + (2.5 * h,) * 3 + (2 * h,) * 3)
+    T = some.refine(T[kept], scales=tuple(scale * h for scale in FIRST_SCALES))
     scores = some.score(T, truncation=1.5 * h)
     kept = hypotheses.distinct(
         hypotheses.pose_coordinates(T, model.surface), scores, radius=h, limit=config.finalists
@@ -119,11 +120,11 @@ class _Sampled:
         self, part: Part, model: PreparedModel, model_grid: NearestGrid, count: int
     ) -> None:
         self._part, self._model, self._grid = part, model, model_grid
-        rows = slice(None, None, max(1, round(len(part.points) / count)))
+        rows = evenly(len(part.points), count)
         self._points = part.points[rows]
         self._share = part.area[rows] / part.area[rows].sum()
         # A view sees about a third of the outside.
-        rows = slice(None, None, max(1, round(len(model.surface) / (3 * count))))
+        rows = evenly(len(model.surface), 3 * count)
         self._surface, self._area = model.surface[rows], model.area[rows]
         self._seen = model.seen[:, rows].contiguous()
 

@@ -9,9 +9,9 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from fullturn.geometry import rigid
+from fullturn.pose.depth import NEAREST, nearest_depth, pixel_of, project, sideways, widened
 
 _MOST_PIXELS = 512  # a side
-_NEAREST = 1e-3  # least depth
 _WIDEST = 3.0  # tangent of the largest angle off the middle
 _FACING = 0.05  # least cosine between a normal and the line of sight
 
@@ -34,18 +34,17 @@ class Sight:
         self._viewpoint, self._margin = viewpoint, margin
         distance = max(float(viewpoint.norm()), 1e-6)
         forward = -viewpoint / distance
-        helper = torch.eye(3, dtype=points.dtype, device=points.device)[forward.abs().argmin()]
-        right = torch.nn.functional.normalize(torch.linalg.cross(forward, helper), dim=0)
+        right = sideways(forward)
         self._frame = torch.stack([right, torch.linalg.cross(forward, right), forward], 1)
-        image, depth = self._project(points)
-        front = depth > _NEAREST
+        image, depth = project(points, self._viewpoint, self._frame)
+        front = depth > NEAREST
         wide = float(image[front].abs().amax()) if bool(front.any()) else 0.0
         self._wide = min(wide + 2 * pixel / distance, _WIDEST)
         self._pixel = max(pixel / distance, 2 * self._wide / _MOST_PIXELS)
         self._side = int(2 * self._wide / self._pixel) + 1
         nearest = self._nearest(image[None], depth[None], torch.ones_like(depth[None]).bool())
-        self._front = -_grown(-nearest)[0].flatten()
-        self._back = _grown(nearest.masked_fill(~nearest.isfinite(), -math.inf))[0].flatten()
+        self._front = -widened(-nearest)[0].flatten()
+        self._back = widened(nearest.masked_fill(~nearest.isfinite(), -math.inf))[0].flatten()
 
     def contradictions(
         self, points: Float[Tensor, "k n 3"], counted: Bool[Tensor, "k n"]
@@ -54,7 +53,7 @@ class Sight:
 
         Seen past: what was seen lies behind the point. Hidden: what was seen lies before it.
         """
-        image, depth = self._project(points)
+        image, depth = project(points, self._viewpoint, self._frame)
         cell, inside = self._cell(image, depth)
         front, back = self._front[cell], self._back[cell]
         counted = counted & inside
@@ -74,7 +73,7 @@ class Sight:
         toward = torch.nn.functional.normalize(self._viewpoint - points, dim=-1)
         cosine = ((normals @ T_scene_model[:, :3, :3].mT) * toward).sum(-1)
         facing = cosine > _FACING
-        image, depth = self._project(points)
+        image, depth = project(points, self._viewpoint, self._frame)
         cell, inside = self._cell(image, depth)
         nearest = self._nearest(image, depth, facing).flatten(1).gather(1, cell)
         # Within a pixel, a slanted surface reaches deep.
@@ -83,23 +82,8 @@ class Sight:
 
     def _nearest(self, image: Tensor, depth: Tensor, counted: Tensor) -> Tensor:
         cell, inside = self._cell(image, depth)
-        depth = depth.masked_fill(~(inside & counted), math.inf)
-        empty = depth.new_full((len(depth), self._side * self._side), math.inf)
-        found = empty.scatter_reduce_(1, cell, depth, "amin")
-        return found.view(-1, self._side, self._side)
-
-    def _project(self, points: Tensor) -> tuple[Tensor, Tensor]:
-        local = (points - self._viewpoint) @ self._frame
-        depth = local[..., 2]
-        return local[..., :2] / depth.clamp_min(_NEAREST).unsqueeze(-1), depth
+        return nearest_depth(cell, depth, inside & counted, side=self._side)
 
     def _cell(self, image: Tensor, depth: Tensor) -> tuple[Tensor, Tensor]:
-        inside = (depth > _NEAREST) & (image.abs().amax(-1) <= self._wide)
-        position = ((image + self._wide) / self._pixel).clamp(0, self._side - 1)
-        x, y = position.long().unbind(-1)
-        return (x * self._side + y).masked_fill(~inside, 0), inside
-
-
-def _grown(image: Float[Tensor, "k s s"]) -> Float[Tensor, "k s s"]:
-    """The largest value of each pixel and the eight around it."""
-    return torch.nn.functional.max_pool2d(image[:, None], 3, 1, 1)[:, 0]
+        inside = (depth > NEAREST) & (image.abs().amax(-1) <= self._wide)
+        return pixel_of(image, inside, half=self._wide, width=self._pixel, side=self._side), inside

@@ -47,6 +47,8 @@ FEATURES = (
     "seen_share",  # of the whole surface
 )
 
+ON_MODEL = 2.0  # spacings from the model's surface up to which a point lies on it
+
 
 @dataclass(frozen=True, eq=False)
 class Measured:
@@ -83,10 +85,10 @@ def measure(
     weight = weight / weight.sum(1, keepdim=True).clamp_min(1e-6)
     height = (difference * scene_normal).sum(0) / h
     cosine = (turn_planes(R, model.normals.T) * scene_normal).sum(0).abs()
-    seen_side = _side(d, height, cosine, weight)
+    found = _side("seen", d, height, cosine, weight)
     has_partner = (d < 1.5) * model.area
     union = (has_partner + model.area * seen).clamp_max(model.area).sum(1)
-    share = (has_partner * seen).sum(1) / union.clamp_min(1e-6)
+    found["seen_union"] = (has_partner * seen).sum(1) / union.clamp_min(1e-6)
 
     local = move_planes(rigid.invert(T), part.points.T)
     difference, normal = model_grid.nearest(local)
@@ -97,39 +99,44 @@ def measure(
     height = (difference * normal).sum(0) / h
     cosine = (normal * turn_planes(R.mT, part.normals.T)).sum(0).abs()
     behind = (distance < 1.5) & ((normal * direction.T.unsqueeze(-1)).sum(0) < -0.1)
-    part_side = _side(distance, height, cosine, part_weight)
-    part_side.insert(5, (behind * part_weight).sum(1))
+    found |= _side("part", distance, height, cosine, part_weight)
+    found["part_behind"] = (behind * part_weight).sum(1)
     near = (distance < 1.5) * part_weight
     smooth = height.clamp(-1.5, 1.5)[:, part.neighbor].mean(-1)
     total = near.sum(1).clamp_min(1e-3)
-    part_side.insert(3, _log((near * smooth.square()).sum(1) / total))
+    found["part_smooth"] = _log((near * smooth.square()).sum(1) / total)
 
-    nothing = T.new_zeros(k)
-    contradicted = [nothing, nothing, nothing, nothing]
+    contradicted = ("past", "empty", "hidden")
+    found |= dict.fromkeys((*contradicted, "sight_known"), T.new_zeros(k))
     if sight is not None:
-        found = sight.contradictions(surface, seen)
-        contradicted = [(mask * weight).sum(1) for mask in found] + [nothing + 1]
-    below, depth = _below(surface, part, planes)
-    size = nothing + math.log(len(part.points))
-    seen_share = (model.area * seen).sum(1) / model.area.sum()
-    columns = [*part_side, *seen_side, share, *contradicted, below, depth, size, seen_share]
+        masks = sight.contradictions(surface, seen)
+        found |= {
+            name: (mask * weight).sum(1) for name, mask in zip(contradicted, masks, strict=True)
+        }
+        found["sight_known"] = T.new_ones(k)
+    found["below"], found["below_depth"] = _below(surface, part, planes)
+    found["log_points"] = T.new_full((k,), math.log(len(part.points)))
+    found["seen_share"] = (model.area * seen).sum(1) / model.area.sum()
     visible = (has_partner * seen).sum(1) / model.area.sum()
-    return Measured(torch.stack(columns, 1), distance < 2.0, visible)
+    columns = [found[name] for name in FEATURES]
+    return Measured(torch.stack(columns, 1), distance < ON_MODEL, visible)
 
 
-def _side(d: Tensor, height: Tensor, cosine: Tensor, weight: Tensor) -> list[Tensor]:
-    """One, three, plane, near, far, normals."""
+def _side(
+    side: str, d: Tensor, height: Tensor, cosine: Tensor, weight: Tensor
+) -> dict[str, Tensor]:
+    """What both sides are asked, named by `FEATURES`."""
     near = (d < 1.5) * weight
     total = near.sum(1).clamp_min(1e-3)
     plane = (near * height.abs().clamp_max(1).square()).sum(1) / total
-    return [
-        _log((d.clamp_max(1).square() * weight).sum(1)),
-        _log((d.clamp_max(3).square() * weight).sum(1)),
-        _log(plane),
-        near.sum(1),
-        ((d > 4) * weight).sum(1),
-        (near * (1 - cosine)).sum(1) / total,
-    ]
+    return {
+        f"{side}_one": _log((d.clamp_max(1).square() * weight).sum(1)),
+        f"{side}_three": _log((d.clamp_max(3).square() * weight).sum(1)),
+        f"{side}_plane": _log(plane),
+        f"{side}_near": near.sum(1),
+        f"{side}_far": ((d > 4) * weight).sum(1),
+        f"{side}_normals": (near * (1 - cosine)).sum(1) / total,
+    }
 
 
 def _log(value: Tensor) -> Tensor:

@@ -27,7 +27,7 @@ _HOMES = {
 }
 # Weights in the package; others are asked for with @NAME or @PATH.
 _LEARNED = ("gmcnet", "gmcnet+consensus")
-_ALIASES = {"auto": DEFAULT, "icp": "icp-plane"}
+ALIASES = {"auto": DEFAULT, "icp": "icp-plane"}
 
 
 @dataclass(frozen=True)
@@ -63,11 +63,12 @@ def get(name: str) -> type[Method]:
         return learned_method(name)
     if isinstance(name, str) and (":" in name or name.endswith(".py")):
         return own_method(name)
-    home = _HOMES.get(_ALIASES.get(name, name)) if isinstance(name, str) else None
+    home = _HOMES.get(ALIASES.get(name, name)) if isinstance(name, str) else None
     if home is None:
-        known = ", ".join((*_ALIASES, *names()))
+        known = ", ".join((*ALIASES, *names()))
         raise InputError(
-            f"method: expected {known}, or your own as file.py:Class; got {name!r:.200}"
+            f"method: expected {known}, gmcnet@WEIGHTS[+consensus], or your own as file.py:Class; "
+            f"got {name!r:.200}"
         )
     found: type[Method] = getattr(import_module(home[0]), home[1])
     return found

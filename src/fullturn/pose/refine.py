@@ -8,11 +8,16 @@ from torch import Tensor
 
 from fullturn.geometry import rigid
 from fullturn.pose.grid import NearestGrid
+from fullturn.pose.kabsch import weighted_kabsch
 from fullturn.pose.planes import move_planes, squared_falloff
 from fullturn.pose.residuals import gauss_newton_step, plane_equations
 
 # Holds back sliding along a surface, where planes leave a pose free.
 _DAMPING = 0.01
+# Of the points, those that have to lie on one of the other cloud: of independent samples of one
+# surface, a few of a hundred are as close by chance.
+_SHARE_ON_POINTS, _LEAST_ON_POINTS = 0.2, 6
+_LAYING_SHARES = (1.0, 0.1, 0.01)  # narrower each time: a wrong partner may be as close at first
 _GRAZING = -0.1  # cosine down to which a surface still counts as facing the eye
 
 
@@ -58,6 +63,34 @@ def refine_poses(
         H = H + there.mT @ H_back @ there
         g = g + (there.mT @ g_back.unsqueeze(-1)).squeeze(-1)
         T = rigid.small_motion(gauss_newton_step(H, g, damping=_DAMPING)) @ T
+    return T
+
+
+def lay_on_points(
+    T_target_source: Float[Tensor, "k 4 4"],
+    source: Float[Tensor, "n 3"],
+    target_grid: NearestGrid,
+    *,
+    close: float,
+) -> Float[Tensor, "k 4 4"]:
+    """Poses that lay points within `close` of points of the other cloud, exactly on them.
+
+    The others are left as they are.
+    Tangent planes leave a rest that depends on the way that a pose came. Where clouds share one
+    sampling and next to no noise, that rest would tell poses apart that are equally good.
+    """
+    T = T_target_source.clone()
+    planes = source.T.contiguous()
+    for share in _LAYING_SHARES:
+        moved = move_planes(T, planes)
+        difference, _ = target_grid.nearest(moved)
+        on_point = difference.square().sum(0) < (share * close) ** 2
+        exact = on_point.sum(1) > max(_LEAST_ON_POINTS, _SHARE_ON_POINTS * len(source))
+        if not bool(exact.any()):
+            break
+        partner = (moved - difference).movedim(0, -1)[exact]
+        weight = on_point[exact].to(source.dtype)
+        T[exact] = weighted_kabsch(source.expand_as(partner), partner, weight)
     return T
 
 

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from fullturn.geometry import rigid
 from fullturn.geometry.cloud import Cloud
+from fullturn.geometry.sampling import evenly
 from fullturn.matching.correspondence import candidate_matches
 from fullturn.pose import hypotheses
 from fullturn.pose.contact import contacts, prepare_surface
@@ -20,7 +21,7 @@ from fullturn.pose.evidence import PointSignals, evidence, point_signals
 from fullturn.pose.grid import NearestGrid
 from fullturn.pose.kabsch import nearest_rotation
 from fullturn.pose.levels import LevelPair, level_pair, thin_pair
-from fullturn.pose.refine import refine_poses
+from fullturn.pose.refine import lay_on_points, refine_poses
 from fullturn.pose.similarity import Similarity, histogram_similarity, network_similarity
 from fullturn.pose.verify import FEATURES, MEASURED, agreement, likenesses, measure
 
@@ -33,6 +34,11 @@ LIMIT_EDGE_RAD = math.radians(3.0)
 # So many points of a cloud are enough to tell a thousand poses apart, and to draw the best of them
 # to where they belong.
 _SCORED_POINTS, _REFINED_POINTS = 100, 200
+# Of the first refinement, in spacings of the coarse level: as wide as a hypothesis may be off, then
+# narrower, so that points that are no partners let go.
+FIRST_SCALES = (3.0,) * 3 + (2.5,) * 3 + (2.0,) * 3
+NO_WEIGHTS = "no descriptor weights in the package: matched by handcrafted histograms"
+_CLOSE = 0.1  # spacings within which points of one sampling lie on one another
 _LITTLE_OVERLAP = 0.05  # keeps the merit of poses that hardly overlap finite
 
 
@@ -120,9 +126,7 @@ class Search:
         self._learned = network_similarity(coarse) if config.descriptor == "network" else None
         self._notes: tuple[str, ...] = ()
         if self._learned is None and config.descriptor == "network":
-            self._notes = (
-                "no descriptor weights in the package: matched by handcrafted histograms",
-            )
+            self._notes = (NO_WEIGHTS,)
         alike = self._learned if similarity is None else similarity(coarse)
         if alike is None:
             alike = histogram_similarity(coarse) if self._learned is None else self._learned
@@ -133,7 +137,7 @@ class Search:
             self._matched, config, spacing=coarse.spacing, max_rotation_rad=max_rotation_rad
         )
         clock.lap("hypothesize")
-        h, some = coarse.spacing, _one_in(coarse.source.points, about=_SCORED_POINTS)
+        h, some = coarse.spacing, evenly(len(coarse.source.points), _SCORED_POINTS)
         self._grids = _grids(coarse, band=3 * h)
         overlap = hypotheses.score_poses(
             coarse.source.points[some],
@@ -149,11 +153,14 @@ class Search:
         self, config: SearchConfig, *, given: Float[Tensor, "g 4 4"] | None = None
     ) -> Finalists:
         """As many as the configuration says; looking wider takes up no more than what is new."""
+        h = self._fine.spacing
         T = self._refined_on_grids(config)
         T = _within(T, self._max_rotation_rad, slack_rad=LIMIT_EDGE_RAD)
         if self._fine is not self._coarse:
             T = _polish(self._fine, T)
             T = _within(T, self._max_rotation_rad, slack_rad=LIMIT_EDGE_RAD)
+        else:
+            T = lay_on_points(T, self._fine.source.points, self._grids[1], close=_CLOSE * h)
         self._clock.lap("refine")
         if given is not None:
             T = torch.cat([given.to(T), T])
@@ -172,10 +179,10 @@ class Search:
         )
         T = refine_poses(
             T,
-            source[_one_in(source, about=_REFINED_POINTS)],
-            target[_one_in(target, about=_REFINED_POINTS)],
+            source[evenly(len(source), _REFINED_POINTS)],
+            target[evenly(len(target), _REFINED_POINTS)],
             *grids,
-            scales=(3 * h,) * 3 + (2.5 * h,) * 3 + (2 * h,) * 3,
+            scales=tuple(scale * h for scale in FIRST_SCALES),
         )
         T = self._scored(T, _two_sided(pair, grids, T, truncation=1.5 * h)).chosen(
             radius=h,
@@ -296,17 +303,13 @@ def _within(T: Tensor, max_rotation_rad: float | None, *, slack_rad: float) -> T
     return rigid.make(R, T[:, :3, 3])
 
 
-def _one_in(points: Tensor, *, about: int) -> slice:
-    """Rows, evenly over all of them."""
-    return slice(None, None, max(1, round(len(points) / about)))
-
-
 def _polish(pair: LevelPair, T: Tensor) -> Tensor:
     """Refine on a finer level."""
     h = pair.spacing
     scales = (2 * h,) * 4 + (1.5 * h,) * 3
     grids = _grids(pair, band=2 * h)
-    return refine_poses(T, pair.source.points, pair.target.points, *grids, scales=scales)
+    T = refine_poses(T, pair.source.points, pair.target.points, *grids, scales=scales)
+    return lay_on_points(T, pair.source.points, grids[1], close=_CLOSE * h)
 
 
 def _grids(pair: LevelPair, *, band: float) -> list[NearestGrid]:

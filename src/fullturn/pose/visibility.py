@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from fullturn.pose.depth import NEAREST, nearest_depth, pixel_of, project, sideways, widened
+
 _MAX_PIXELS = 256  # of a side
-_NEAREST = 1e-3  # least depth, normalized
 _WIDEST = 1.0  # tangent of the largest angle off the center of the view: 45°
 _HIDDEN = 3.0  # spacings behind a point's pixel that count
 
@@ -42,14 +42,12 @@ class DepthImages:
         # A sensor in the middle of the cloud looks everywhere; pick a side.
         forward = torch.where(distance[:, None] < 1e-6, points[0] - viewpoints, offset)
         forward = forward / forward.norm(dim=-1, keepdim=True).clamp_min(1e-12)
-        axes = torch.eye(3, dtype=points.dtype, device=points.device)
-        right = torch.linalg.cross(forward, axes[forward.abs().argmin(-1)])
-        right = right / right.norm(dim=-1, keepdim=True).clamp_min(1e-12)
+        right = sideways(forward)
         self._frame = torch.stack([right, torch.linalg.cross(right, forward), forward], -1)
         self.viewpoints = viewpoints
         self._spacing = spacing
-        image, depth = self._project(points)
-        reach = image.norm(dim=-1).masked_fill(depth <= _NEAREST, 0.0).amax(-1).double()
+        image, depth = project(points, self.viewpoints, self._frame)
+        reach = image.norm(dim=-1).masked_fill(depth <= NEAREST, 0.0).amax(-1).double()
         radius = (1.25 * reach).clamp_max(_WIDEST)
         width = torch.maximum(
             1.5 * spacing / distance.double().clamp_min(1e-6), 2 * radius / _MAX_PIXELS
@@ -57,16 +55,14 @@ class DepthImages:
         self._side = int((2 * radius / width).amax()) + 1
         self._radius, self._width = (x.to(points)[:, None] for x in (radius, width))
         cell, inside = self._cell(image, depth)
-        self._nearest = depth.new_full((len(viewpoints), self._side**2), math.inf)
-        self._nearest.scatter_reduce_(1, cell, depth.masked_fill(~inside, math.inf), "amin")
-        square = self._nearest.view(-1, 1, self._side, self._side)
-        self._grown = -torch.nn.functional.max_pool2d(-square, 3, 1, 1).flatten(1)
+        nearest = nearest_depth(cell, depth, inside, side=self._side)
+        self._nearest, self._around = nearest.flatten(1), -widened(-nearest).flatten(1)
 
     def look(self, points: Float[Tensor, "*points 3"]) -> Look:
         """What is said of each point from each place."""
-        image, depth = self._project(points.reshape(-1, 3))
+        image, depth = project(points.reshape(-1, 3), self.viewpoints, self._frame)
         cell, inside = self._cell(image, depth)
-        nearest = self._grown.gather(1, cell)
+        nearest = self._around.gather(1, cell)
         seen = torch.isfinite(nearest)
         behind = torch.where(inside & seen, depth - nearest, 0.0)
         masks = (behind, behind < -2.0 * self._spacing, inside & ~seen, ~inside)
@@ -84,20 +80,12 @@ class DepthImages:
 
     def hidden(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, " v"]:
         """The share of points that stand behind what was seen."""
-        image, depth = self._project(points)
+        image, depth = project(points, self.viewpoints, self._frame)
         cell, _ = self._cell(image, depth)
         behind = depth > self._nearest.gather(1, cell) + _HIDDEN * self._spacing
         return behind.to(points.dtype).mean(-1)
 
-    def _project(
-        self, points: Float[Tensor, "n 3"]
-    ) -> tuple[Float[Tensor, "v n 2"], Float[Tensor, "v n"]]:
-        local = (points - self.viewpoints[:, None]) @ self._frame
-        depth = local[..., 2]
-        return local[..., :2] / depth.clamp_min(_NEAREST).unsqueeze(-1), depth
-
     def _cell(self, image: Tensor, depth: Tensor) -> tuple[Int[Tensor, "v n"], Bool[Tensor, "v n"]]:
-        inside = (depth > _NEAREST) & (image.norm(dim=-1) <= self._radius)
-        position = (image + self._radius[..., None]) / self._width[..., None]
-        x, y = position.clamp(0, self._side - 1).long().unbind(-1)
-        return (x * self._side + y).masked_fill(~inside, 0), inside
+        inside = (depth > NEAREST) & (image.norm(dim=-1) <= self._radius)
+        half, width = self._radius[..., None], self._width[..., None]
+        return pixel_of(image, inside, half=half, width=width, side=self._side), inside

@@ -6,12 +6,10 @@ import ast
 import hashlib
 import importlib.util
 import sys
-from collections.abc import Iterator
-from dataclasses import asdict
+from collections.abc import Iterator, Sequence
 from functools import cache
 from importlib import metadata
 from pathlib import Path
-from typing import Any
 
 import fullturn
 from fullturn.methods.base import Method
@@ -19,14 +17,20 @@ from fullturn.methods.base import Method
 _PACKAGE = "fullturn"
 
 
-def fingerprint(method: type[Method]) -> tuple[str, dict[str, str]]:
+ESTIMATE = ("fullturn.normalize",)  # between a pair and the poses that a method finds
+REGISTER = ("fullturn.api",)  # … and all that `register` says of them
+
+
+def fingerprint(
+    method: type[Method], *, roots: Sequence[str] = ESTIMATE
+) -> tuple[str, dict[str, str]]:
     """A hash of a method's code and versions, and the versions of the packages that it uses.
 
-    The code is the module of the class and, from there on, every module of the same package and of
-    fullturn that is imported, but for type checking, with those of fullturn's weights that one of
-    them names. What a package loads in other ways isn't seen.
+    The code is the module of the class, the modules `roots` and, from there on, every module of the
+    same package and of fullturn that is imported, but for type checking, with those of fullturn's
+    weights that one of them names. What a package loads in other ways isn't seen.
     """
-    files, packages = _closure(method)
+    files, packages = _closure(method, roots)
     files |= set(method.files)
     packages |= set(method.needs)  # imported by name, when the method is made
     # By name and content: where the files lie, and in which order a set holds them, is nothing.
@@ -36,14 +40,14 @@ def fingerprint(method: type[Method]) -> tuple[str, dict[str, str]]:
     return hashlib.sha256("\n".join(content).encode()).hexdigest(), versions
 
 
-def _closure(method: type[Method]) -> tuple[set[Path], set[str]]:
-    """The files that a method's module leads to, and the other packages that they import."""
+def _closure(method: type[Method], roots: Sequence[str]) -> tuple[set[Path], set[str]]:
+    """The files that the method's module and the roots lead to, and the packages that they use."""
     module = sys.modules[method.__module__]
-    roots = {_PACKAGE, method.__module__.partition(".")[0]}
+    ours = {_PACKAGE, method.__module__.partition(".")[0]}
     weights = set(Path(fullturn.__file__).parent.glob("weights/*.safetensors"))
     files: set[Path] = set()
     packages: set[str] = set()
-    waiting = [Path(str(module.__file__)), *_module_file(f"{_PACKAGE}.normalize")]
+    waiting = [Path(str(module.__file__)), *(file for root in roots for file in _module_file(root))]
     while waiting:
         path = waiting.pop()
         if path in files:
@@ -53,7 +57,7 @@ def _closure(method: type[Method]) -> tuple[set[Path], set[str]]:
         files |= {one for one in weights if one.name in source}
         for name in _imports(ast.parse(source)):
             top = name.partition(".")[0]
-            if top in roots:
+            if top in ours:
                 waiting += _module_file(name)
             elif top not in sys.stdlib_module_names:
                 packages.add(top)
@@ -102,14 +106,3 @@ def _is_installed(distribution: str) -> bool:
 @cache
 def _distributions() -> dict[str, list[str]]:
     return dict(metadata.packages_distributions())
-
-
-def describe(method: type[Method], versions: dict[str, str]) -> dict[str, Any]:
-    """What a run's summary says of a method, with the versions of its packages."""
-    return {
-        "summary": method.summary,
-        "reference": method.reference,
-        "settings": dict(method.settings()),
-        "traits": asdict(method.traits),
-        "versions": versions,
-    }

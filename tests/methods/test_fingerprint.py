@@ -5,9 +5,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 import fullturn
-from fullturn.evaluation import fingerprint as module
-from fullturn.evaluation.fingerprint import _closure, fingerprint
+from fullturn.methods import fingerprint as module
+from fullturn.methods.fingerprint import ESTIMATE, REGISTER, _closure, fingerprint
 from fullturn.methods.registry import get
 
 OWN = """
@@ -27,7 +29,7 @@ def own(path: Path, answer: str) -> str:
 
 
 def test_the_closure_is_what_the_answer_depends_on() -> None:
-    files, packages = _closure(get("consensus"))
+    files, packages = _closure(get("consensus"), ESTIMATE)
     names = {path.relative_to(Path(fullturn.__file__).parent).as_posix() for path in files}
     assert {
         "methods/consensus.py", "pose/search.py", "pose/verify.py", "geometry/neighbors.py",
@@ -38,6 +40,20 @@ def test_the_closure_is_what_the_answer_depends_on() -> None:
     assert {"torch", "numpy", "small_gicp"} <= packages
 
 
+@pytest.mark.parametrize("name", ["verdict.safetensors", "evidence.safetensors", "api.py"])
+def test_what_register_adds_counts_where_it_is_a_root(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # A method that states no probability: the front door asks the verdict.
+    found = {roots: fingerprint(get("icp-point"), roots=roots)[0] for roots in (ESTIMATE, REGISTER)}
+    honest = Path.read_bytes
+    monkeypatch.setattr(
+        Path, "read_bytes", lambda path: b"refit" if path.name == name else honest(path)
+    )
+    assert fingerprint(get("icp-point"))[0] == found[ESTIMATE]
+    assert fingerprint(get("icp-point"), roots=REGISTER)[0] != found[REGISTER]
+
+
 def test_versions_are_named_and_count() -> None:
     code, versions = fingerprint(get("icp-point"))
     assert {"torch", "numpy", "small_gicp"} <= set(versions)
@@ -46,7 +62,7 @@ def test_versions_are_named_and_count() -> None:
 
 def test_every_process_says_the_same() -> None:
     script = (
-        "from fullturn.evaluation.fingerprint import fingerprint\n"
+        "from fullturn.methods.fingerprint import fingerprint\n"
         "from fullturn.methods.registry import get\n"
         "print(fingerprint(get('consensus'))[0])"
     )

@@ -1,0 +1,131 @@
+"""Headers, line numbers, and three numbers as people write them."""
+
+from __future__ import annotations
+
+import io
+
+import numpy as np
+import pytest
+
+from fullturn.errors import ReadError
+from fullturn.io.text import read_text, three_numbers
+
+POINTS = np.random.default_rng(0).normal(size=(7, 3))
+NUMBERED = np.c_[np.arange(7), POINTS]
+
+
+def read(text: str) -> np.ndarray:
+    return read_text(text.encode(), "a.txt").points
+
+
+def saved(header: str, separator: str = ",", comments: str = "") -> str:
+    stream = io.StringIO()
+    np.savetxt(stream, NUMBERED, "%.17g", separator, header=header, comments=comments)
+    return stream.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("header", "separator"),
+    [
+        ("id,x,y,z", ","),
+        (",x,y,z", ","),
+        ("id,X [m],Y [m],Z [m]", ","),
+        ("id,x[m],y[m],z[m]", ","),
+        ("time,x_m,y_m,z_m", ","),
+        ("Timestamp,Points:0,Points:1,Points:2", ","),
+        ('"Timestamp","Points:0","Points:1","Points:2"', ","),
+        ("i points[0] points[1] points[2]", " "),
+        ("label,px,py,pz", ","),
+        ("i,pos_x,pos_y,pos_z", ","),
+        ("i,Position_X,Position_Y,Position_Z", ","),
+        ("i,point_x,point_y,point_z", ","),
+        ("i,X Coord.,Y Coord.,Z Coord.", ","),
+        ("id;x (mm);y (mm);z (mm)", ";"),
+        ("id x (mm) y (mm) z (mm)", " "),
+        ("id\tPos X\tPos Y\tPos Z", "\t"),
+        ("\tx\ty\tz", "\t"),
+        ("//I X Y Z", " "),
+        ("% i x y z", " "),
+        ("nx x y z", " "),
+    ],
+)
+def test_columns_are_found_by_their_names(header: str, separator: str) -> None:
+    np.testing.assert_array_equal(read(saved(header, separator)), POINTS)
+    if header[0] not in "/%":
+        np.testing.assert_array_equal(read(saved(header, separator, "# ")), POINTS)
+        above = f"# a longer comment\n{saved(header, separator, '#')}"
+        np.testing.assert_array_equal(read(above), POINTS)
+
+
+def test_the_plain_names_come_first_and_any_order_will_do() -> None:
+    assert read("px,py,pz,z,y,x\n1,2,3,4,5,6\n").tolist() == [[6, 5, 4]]
+    assert read("x_m,y_m,z_m,px,py,pz\n1,2,3,4,5,6\n").tolist() == [[1, 2, 3]]
+
+
+def test_a_cell_may_hold_words_or_nothing_where_tabs_separate() -> None:
+    assert read("name\tx\ty\tz\na b\t1\t2\t3\n\t4\t5\t6\n").tolist() == [[1, 2, 3], [4, 5, 6]]
+
+
+@pytest.mark.parametrize(
+    ("header", "separator", "comments"),
+    [
+        ("id,a,b,c", ",", ""),
+        ("id a b c", " ", ""),
+        ("id,a,b,c", ",", "# "),
+        ("x,y,depth,id", ",", ""),
+        ("id,nx,ny,nz", ",", ""),
+        ("lon;lat;height;id", ";", ""),
+    ],
+)
+def test_other_names_are_an_error(header: str, separator: str, comments: str) -> None:
+    came = ", ".join(header.replace(separator, ",").split(","))
+    message = f"expected columns x, y, z in the header, got {came}; name the three columns"
+    with pytest.raises(ReadError, match=message):
+        read(saved(header, separator, comments))
+
+
+@pytest.mark.parametrize(
+    "above",
+    [
+        "",
+        "# a cloud of points\n",
+        "# columns: x y z\n",
+        "# x y z\n",
+        "# Format: x, y, z, intensity\n",
+        "a title\n",
+        "A title of five words\n",
+        "// a comment, and another one\n",
+    ],
+)
+def test_otherwise_the_first_three_columns_are_taken(above: str) -> None:
+    np.testing.assert_array_equal(read(above + saved("", " ", "#")), NUMBERED[:, :3])
+    assert read("a,b,c\n1,2,3\n").tolist() == [[1, 2, 3]]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("# one\n\nx y z\n1 2 3\n4 5\n", "line 5: expected three numbers per line, .*, got 4 5;"),
+        ("1 2 3\n \n4 five 6 # it\n", "line 3: .*, got 4 five 6; correct that line"),
+        ("2\n1 2 3\n4 5 1_0\n", "line 3: .*, got 4 5 1_0;"),
+        ("1,2,3\n1,,3\n", "line 2: .*, got 1,,3;"),
+        ("id,x,y,z\n1,2,3\n", "line 2: .* in the columns 2, 3 and 4, .*, got 1,2,3;"),
+        ("0,38;0,35;1\n", "line 1: .*, got 0,38;0,35;1; it has decimal commas, write"),
+        ("x;y;z\n1;2;3\n1,5;2;3\n", "line 3: .*; it has decimal commas"),
+        ("0,38 -0,35 1,2e-3\n", "line 1: .*; it has decimal commas"),
+    ],
+)
+def test_the_line_that_cannot_be_read_is_named(text: str, message: str) -> None:
+    with pytest.raises(ReadError, match=f"a.txt, {message}") as caught:
+        read(text)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("text", ["1,-2,3.5", "1 -2 3.5", " 1, -2,\t3.5 ", "1e0 -2 +3.5"])
+def test_commas_and_spaces_separate(text: str) -> None:
+    assert three_numbers(text) == (1.0, -2.0, 3.5)
+
+
+@pytest.mark.parametrize("text", ["", "-", "1,2", "1 2 3 4", "1,2,x", "1,2,nan", "1,2,inf", "1;2"])
+def test_anything_else_is_none(text: str) -> None:
+    assert three_numbers(text) is None
