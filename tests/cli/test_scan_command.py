@@ -125,17 +125,13 @@ def test_an_earlier_runs_clouds_are_removed(run, cube, tmp_path, no_matplotlib):
         (out / name).write_text("mine")
     done = run(cube, "--out", out, *QUICK)
     names = [f"view_{number:02d}.ply" for number in range(8)]
-    assert (
-        f"removed the clouds that only an earlier run wrote: {', '.join(names[3:])}" in done.output
-    )
+    assert f"that only an earlier run wrote: {', '.join(names[3:])}\n" in done.output
     expected = {*names[:3], *kept, "poses.json"}
     assert {path.name for path in out.iterdir()} == expected
     assert "removed" not in run(cube, "--out", out, *QUICK).output
     # Views that now see nothing leave no cloud either.
-    assert (
-        "wrote: view_00.ply, view_01.ply, view_02.ply"
-        in run(cube, "--out", out, "--quantize", 100, *QUICK).output
-    )
+    blind = run(cube, "--out", out, "--quantize", 100, *QUICK)
+    assert f"that only an earlier run wrote: {', '.join(names[:3])}\n" in blind.output
     assert {path.name for path in out.iterdir()} == {*kept, "poses.json"}
 
 

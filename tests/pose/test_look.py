@@ -50,7 +50,7 @@ def test_doubt_has_more_poses_looked_at() -> None:
 
 def test_a_second_look_is_what_a_wider_search_finds() -> None:
     found, _ = look(*unrelated(), config=SMALL)
-    wide = find_finalists(*unrelated(), config=SMALL.wider(4))
+    wide = find_finalists(*unrelated(), config=SMALL.wider(modes=4, finalists=2))
     assert torch.equal(found.T_target_source, wide.T_target_source)
     assert torch.equal(found.features, wide.features)
 

@@ -49,17 +49,13 @@ def fuse(
 
     Exit codes: 0 fused, into one group or several; 1 error, 2 wrong usage.
     """
-    from fullturn.io.atomic import check_output
+    from fullturn.cli.outputs import check_outputs
     from fullturn.io.save import CLOUD_SUFFIXES, save_cloud
 
     if math.isnan(min_probability):
         raise typer.BadParameter("--min-probability: expected a number from 0.01 to 1, got nan")
 
-    # Before the work, so that no result is lost to a wrong file name.
-    outputs = ((out, CLOUD_SUFFIXES), (poses, (".json",)), (report, (".html", ".htm")))
-    for path, suffixes in outputs:
-        if path is not None:
-            check_output(path, suffixes)
+    check_outputs((out, CLOUD_SUFFIXES), (poses, (".json",)), (report, (".html", ".htm")))
 
     eyes = None if viewpoints is None else _read_viewpoints(viewpoints)
 
@@ -167,7 +163,7 @@ def _print_table(fusion: Fusion, written: list[Path]) -> None:
     from rich.table import Table
     from rich.text import Text
 
-    from fullturn.fusion.report import rotation_sigma_deg
+    from fullturn.fusion.report import deviation, rotation_sigma_deg
     from fullturn.viz.tables import probability
 
     table = Table(box=None, pad_edge=False)
@@ -182,7 +178,7 @@ def _print_table(fusion: Fusion, written: list[Path]) -> None:
             Text(name),  # a name may hold brackets that are no markup
             str(group + 1) if group >= 0 else "left out",
             "" if group < 0 else "alone" if alone else probability(fusion.probability[number]),
-            "" if math.isnan(sigma) else f"{sigma:.2f}",
+            deviation(sigma),
             str(pairs),
         )
     console = Console()

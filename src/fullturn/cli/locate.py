@@ -57,7 +57,7 @@ def locate(
 ) -> None:
     """Find MODEL in SCENE, and the probability that it is there. Both are in one unit.
 
-    Files: PLY, PCD, XYZ, TXT, CSV, NPY, NPZ; meshes PLY, OBJ, STL, OFF, GLB.
+    Files: PLY, PCD, XYZ, TXT, CSV, TSV, ASC, PTS, NPY, NPZ; meshes PLY, OBJ, STL, OFF, GLB.
 
     Exit codes: 0 located, 1 error, 2 wrong usage, 3 below --min-probability.
     """
@@ -65,15 +65,16 @@ def locate(
     if math.isnan(min_probability or 0.0):
         raise typer.BadParameter("--min-probability: expected a number from 0 to 1, got nan")
 
-    from fullturn.io.atomic import check_output
+    from fullturn.cli.outputs import check_outputs
     from fullturn.io.save import CLOUD_SUFFIXES, save_cloud
     from fullturn.io.transform import TRANSFORM_SUFFIXES, write_transform
 
-    # Before the work, so that no result is lost to a wrong file name.
-    outputs = ((out, TRANSFORM_SUFFIXES), (save, CLOUD_SUFFIXES), (prepared, (".safetensors",)))
-    for path, suffixes in outputs:
-        if path is not None:
-            check_output(path, suffixes)
+    is_made = prepared is not None and not prepared.exists()
+    check_outputs(
+        (out, TRANSFORM_SUFFIXES),
+        (save, CLOUD_SUFFIXES),
+        (prepared if is_made else None, (".safetensors",)),
+    )
 
     from fullturn.io import load_cloud
 
@@ -92,7 +93,7 @@ def locate(
         min_probability=0.5 if min_probability is None else min_probability,
     )
     if out is not None:
-        write_transform(out, result.T_scene_model)
+        write_transform(out, result.T_scene_model, name="T_scene_model")
     if save is not None:
         surface = ready.points()
         poses = [place.T_scene_model for place in result.locations]

@@ -18,7 +18,7 @@ from fullturn.fusion.graph import GraphConfig, Placement
 from fullturn.fusion.merge import MergedCloud, merge_clouds
 from fullturn.fusion.optimize import gtsam
 from fullturn.fusion.result import FusedEdge, Fusion
-from fullturn.fusion.scans import Scan, check_scans
+from fullturn.fusion.scans import Scan, check_scans, scan_names
 from fullturn.fusion.settle import settle_groups
 from fullturn.methods.registry import get
 from fullturn.normalize import Normalization
@@ -164,12 +164,6 @@ def _result(
     numbers = range(len(clouds))
     group_of = {s: number for number, group in enumerate(placement.groups) for s in group}
 
-    def label(number: int) -> str:
-        if number in at:
-            return scans[at[number]].name
-        thing = clouds[number]
-        return os.path.basename(thing) if isinstance(thing, (str, os.PathLike)) else f"{number + 1}"
-
     def fused(edge: Edge, chosen: int) -> FusedEdge:
         return FusedEdge(
             scans[edge.target].number,
@@ -182,7 +176,7 @@ def _result(
         )
 
     return Fusion(
-        names=tuple(label(n) for n in numbers),
+        names=tuple(scan_names(clouds)),
         T_world_scan=tuple(worlds[at[n]] if n in at else None for n in numbers),
         group=tuple(group_of[at[n]] if n in at else -1 for n in numbers),
         groups=tuple(tuple(scans[s].number for s in group) for group in placement.groups),

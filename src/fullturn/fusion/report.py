@@ -21,6 +21,7 @@ from fullturn.viz.payload import encode_points, middle
 from fullturn.viz.scene import apply, thin, viewing_axes
 
 _MAX_POINTS = 120_000  # of all scans together: about 1 MB
+_OPEN_DEG = 20.0  # standard deviation from which on a rotation counts as not held
 _GOLDEN_ANGLE = 0.381966  # of the color circle: neighbors in the list differ most
 
 
@@ -85,6 +86,13 @@ def rotation_sigma_deg(fusion: Fusion, number: int) -> float:
     return math.degrees(math.sqrt(max(0.0, float(np.trace(covariance[:3, :3])))))
 
 
+def deviation(sigma_deg: float) -> str:
+    """A standard deviation as text; where nothing holds a rotation, it is no number."""
+    if math.isnan(sigma_deg):
+        return ""
+    return f"{sigma_deg:.2f}" if sigma_deg < _OPEN_DEG else "open"
+
+
 def _drawn(clouds: Sequence[Any], fusion: Fusion) -> list[np.ndarray]:
     """Some points of each scan in the frame of its group; none of a scan that was left out."""
     most = max(500, _MAX_POINTS // len(fusion.names))
@@ -125,7 +133,7 @@ def _scan_rows(fusion: Fusion, colors: Sequence[tuple[int, int, int]]) -> str:
             f'<tr><th><label><input type="checkbox" data-scan="{number}" data-group="{group}" '
             f'{state}> <i style="background:rgb{colors[number]}"></i>{tables.text(name)}</label>'
             f"</th><td>{group + 1 if group >= 0 else 'left out'}</td><td>{said}</td>"
-            f"<td>{'' if math.isnan(sigma) else f'{sigma:.2f}'}</td></tr>"
+            f"<td>{deviation(sigma)}</td></tr>"
         )
     return "\n".join(rows)
 

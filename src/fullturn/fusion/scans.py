@@ -6,6 +6,7 @@ import hashlib
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from fullturn.errors import FullturnError, InputError
+from fullturn.errors import FullturnError, InputError, one_line
 from fullturn.geometry.cloud import Cloud
 from fullturn.io import LoadedCloud, load_cloud
 from fullturn.io.check import as_viewpoint
@@ -67,16 +68,18 @@ def check_scans(
         InputError: fewer than two scans, or fewer than two that can be used, or viewpoints that
             cannot be.
     """
-    if isinstance(clouds, (str, bytes)) or not isinstance(clouds, Sequence) or len(clouds) < 2:
-        got = f"{len(clouds)}" if isinstance(clouds, Sequence) else f"a {type(clouds).__name__}"
+    is_list = isinstance(clouds, Sequence) and not isinstance(clouds, (str, bytes))
+    if not is_list or len(clouds) < 2:
+        got = f"{len(clouds)}" if is_list else f"a {type(clouds).__name__}"
         raise InputError(f"clouds: expected a list of at least 2 scans, got {got}; add scans")
     eyes = check_viewpoints(viewpoints, len(clouds))
+    names = scan_names(clouds)
     scans: list[Scan] = []
     notes: list[str] = []
     first: dict[str, Scan] = {}
     for number, (cloud, eye) in enumerate(zip(clouds, eyes, strict=True)):
         try:
-            scan = _scan(number, cloud, eye)
+            scan = _scan(number, cloud, eye, names[number])
         except FullturnError as error:
             notes.append(f"left out scan {number + 1}: {error}")
             continue
@@ -92,6 +95,24 @@ def check_scans(
             f"({'; '.join(notes)}); add scans"
         )
     return scans, notes + _unlike(scans)
+
+
+def scan_names(clouds: Sequence[Any]) -> list[str]:
+    """What scans are called: files by as little of their paths as tells them apart."""
+    parts = [
+        Path(cloud).parts if isinstance(cloud, (str, os.PathLike)) else None for cloud in clouds
+    ]
+    names = []
+    for number, (cloud, own) in enumerate(zip(clouds, parts, strict=True), start=1):
+        if own is None:
+            names.append(cloud.name if isinstance(cloud, LoadedCloud) else f"scan {number}")
+            continue
+        others = [other for other in parts if other is not None and other != own]
+        length = 1
+        while length < len(own) and any(other[-length:] == own[-length:] for other in others):
+            length += 1
+        names.append(one_line("/".join(own[-length:])))
+    return names
 
 
 def check_viewpoints(viewpoints: Sequence[Any] | None, count: int) -> list[np.ndarray | None]:
@@ -118,9 +139,9 @@ def check_viewpoints(viewpoints: Sequence[Any] | None, count: int) -> list[np.nd
     ]
 
 
-def _scan(number: int, cloud: Any, eye: np.ndarray | None) -> Scan:
+def _scan(number: int, cloud: Any, eye: np.ndarray | None, name: str) -> Scan:
     is_file = isinstance(cloud, (str, os.PathLike))
-    role = None if is_file or isinstance(cloud, LoadedCloud) else f"scan {number + 1}"
+    role = None if is_file or isinstance(cloud, LoadedCloud) else name
     loaded = load_cloud(cloud, name=role)
     points = loaded.points
     center, radius = center_and_radius(points)
@@ -133,7 +154,7 @@ def _scan(number: int, cloud: Any, eye: np.ndarray | None) -> Scan:
         center=center,
         viewpoint=eye,
         number=number,
-        name=loaded.name,
+        name=name,
         points_key=points_key,
         count=len(points),
         radius=radius,

@@ -15,8 +15,12 @@ from fullturn.io.atomic import check_output, write_atomic
 TRANSFORM_SUFFIXES = (".txt", ".json")
 
 
-def write_transform(path: str | os.PathLike[str], T_target_source: Any) -> None:
+def write_transform(
+    path: str | os.PathLike[str], T_target_source: Any, *, name: str = "T_target_source"
+) -> None:
     """Write a 4×4 transform as four lines of text (.txt) or as a JSON object (.json).
+
+    `name` is the key in JSON.
 
     Both hold 17 significant digits, enough to read every float64 back exactly.
 
@@ -28,7 +32,7 @@ def write_transform(path: str | os.PathLike[str], T_target_source: Any) -> None:
     if check_output(path, TRANSFORM_SUFFIXES).suffix.lower() == ".txt":
         content = "".join(" ".join(f"{x:.17g}" for x in row) + "\n" for row in matrix)
     else:
-        content = json.dumps({"T_target_source": matrix.tolist()}, indent=2) + "\n"
+        content = json.dumps({name: matrix.tolist()}, indent=2) + "\n"
     write_atomic(path, content)
 
 

@@ -7,8 +7,9 @@ from fullturn.pose.search import Finalists, Search, SearchConfig
 from fullturn.pose.similarity import Similarity
 from fullturn.pose.verdict import Judged, judge
 
-# Probability of "none of them" above which more poses are looked at, and how many times as many.
-_DOUBT, _WIDER = 0.15, 4
+_DOUBT = 0.15  # probability of "none of them" above which more poses are looked at
+# How many times as many are refined, and measured: more of the latter found no more.
+_MODES, _FINALISTS = 4, 2
 
 
 def look(
@@ -23,7 +24,7 @@ def look(
     search = Search(
         source, target, config=config, similarity=similarity, max_rotation_rad=max_rotation_rad
     )
-    for width in (config, config.wider(_WIDER)):
+    for width in (config, config.wider(modes=_MODES, finalists=_FINALISTS)):
         found = search.finalists(width)
         judged = judge(found.T_target_source, found.features, max_rotation_rad=max_rotation_rad)
         if judged.none <= _DOUBT:

@@ -65,10 +65,15 @@ class SearchConfig:
     # What finds matches: the descriptor network, or handcrafted histograms.
     descriptor: Literal["network", "histogram"] = "network"
 
-    def wider(self, factor: int) -> SearchConfig:
-        """The same with so many times as many poses refined and measured."""
-        limits = ("modes", "matched_modes", "finalists", "matched_finalists")
-        return replace(self, **{name: factor * getattr(self, name) for name in limits})
+    def wider(self, *, modes: int, finalists: int) -> SearchConfig:
+        """The same with so many times as many modes, and so many times as many finalists."""
+        return replace(
+            self,
+            modes=modes * self.modes,
+            matched_modes=modes * self.matched_modes,
+            finalists=finalists * self.finalists,
+            matched_finalists=finalists * self.matched_finalists,
+        )
 
 
 @dataclass(frozen=True, eq=False)
