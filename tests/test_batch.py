@@ -58,6 +58,7 @@ def test_no_pairs_and_wrong_arguments() -> None:
     wrong: list[dict[str, Any]] = [
         {"workers": 0},
         {"workers": 1.5},
+        {"workers": "a"},
         {"method": "x"},
         {"seed": -1},
         {"max_rotation_deg": 45},  # which ICP doesn't take

@@ -107,6 +107,12 @@ def center_and_radius(points: np.ndarray) -> tuple[np.ndarray, float]:
         kept = kept[near]
 
 
+def far_from_the_rest(points: np.ndarray, center: np.ndarray, radius: float) -> np.ndarray:
+    """Which points (n, 3) no object of this center and radius has: bool (n,)."""
+    far: np.ndarray = np.linalg.norm(points - center, axis=1) > _STRAY * radius
+    return far
+
+
 def _cloud(
     points: np.ndarray, viewpoint: np.ndarray | None, center: np.ndarray, length: float
 ) -> Cloud:
@@ -130,7 +136,7 @@ def _stray_notes(
     role: str, points: np.ndarray, center: np.ndarray, radius: float
 ) -> tuple[str, ...]:
     distance = np.linalg.norm(points - center, axis=1)
-    count = int((distance > _STRAY * radius).sum())
+    count = int(far_from_the_rest(points, center, radius).sum())
     if not count:
         return ()
     what = "1 point lies" if count == 1 else f"{count} points lie"

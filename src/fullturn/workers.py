@@ -8,6 +8,7 @@ import signal
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from multiprocessing.connection import Connection, wait
+from numbers import Real
 from typing import Any
 
 from fullturn.errors import FullturnError, InputError, one_line
@@ -102,7 +103,8 @@ def check_workers(workers: Any) -> int:
         if hasattr(os, "sched_getaffinity"):
             return len(os.sched_getaffinity(0))
         return os.cpu_count() or 1
-    if isinstance(workers, bool) or int(workers) != workers or workers < 1:
+    is_number = isinstance(workers, Real) and not isinstance(workers, bool)
+    if not is_number or workers % 1 != 0 or workers < 1:
         raise InputError(f"workers: expected a whole number of at least 1, got {workers!r}")
     return int(workers)
 

@@ -208,8 +208,8 @@ def test_fewer_than_two_scans_are_an_error(clouds: Any) -> None:
         fullturn.fuse(clouds)
 
 
-@pytest.mark.parametrize("value", [0.0, 1.5, float("nan")])
-def test_a_probability_out_of_range_is_an_error(value: float) -> None:
+@pytest.mark.parametrize("value", [0.0, 1.5, float("nan"), None, "a"])
+def test_a_probability_out_of_range_is_an_error(value: Any) -> None:
     with pytest.raises(InputError, match="min_probability"):
         fullturn.fuse([shape(), shape(1)], min_probability=value)
 

@@ -167,6 +167,7 @@ def test_another_unit_is_said(dog_model: PreparedModel) -> None:
         (None, {"instances": 0}, "at least 1"),
         (None, {"instances": True}, "at least 1"),
         (None, {"min_probability": 2.0}, "from 0 to 1"),
+        (None, {"min_probability": "a"}, "from 0 to 1"),
     ],
 )
 def test_bad_input_is_named(

@@ -56,6 +56,13 @@ def test_a_cloud_is_seen_as_its_mesh_is() -> None:
     assert shares[0] == pytest.approx(shares[1], abs=0.1)
 
 
+def test_a_stray_point_of_a_cloud_is_left_out_and_named() -> None:
+    cloud = np.asarray(trimesh.sample.sample_surface(model(), 4_000, seed=0)[0])
+    stray = prepare(np.vstack([cloud, [[50.0, 0.0, 0.0]]]), config=SMALL)
+    assert stray.radius == prepare(cloud, config=SMALL).radius
+    assert "model: left out 1 point(s) far from the rest" in stray.notes
+
+
 def test_visible_points_are_those_of_the_near_half() -> None:
     points = trimesh.creation.icosphere(subdivisions=5).vertices
     seen = visible(points, np.array([0.0, 0.0, 3.0]), pixel=0.1, margin=0.15)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Iterator, Sequence
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -64,7 +65,8 @@ def fuse(
     check_seed(seed)
     name = get(method)().name
     workers = check_workers(workers)
-    if not 0.0 < min_probability <= 1.0:
+    is_number = isinstance(min_probability, Real) and not isinstance(min_probability, bool)
+    if not is_number or not 0.0 < min_probability <= 1.0:
         raise InputError(
             f"min_probability: expected a number above 0 and up to 1, got {min_probability!r}"
         )

@@ -13,6 +13,7 @@ import numpy as np
 from fullturn.io import load_cloud
 from fullturn.io.mesh import read_mesh
 from fullturn.io.ply import read_ply
+from fullturn.normalize import center_and_radius, far_from_the_rest
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,12 +47,17 @@ def load_model(model: Any) -> ModelSource:
     cloud = load_cloud(model, name=label)  # every check, and the points where it is no mesh
     found = _mesh_file(Path(model)) if label is None else _mesh_object(model)
     if found is None:
-        return ModelSource(cloud.points, None, cloud.name, cloud.notes)
+        stray = far_from_the_rest(cloud.points, *center_and_radius(cloud.points))
+        left_out = int(stray.sum())
+        notes = (
+            (f"{cloud.name}: left out {left_out} point(s) far from the rest",) if left_out else ()
+        )
+        return ModelSource(cloud.points[~stray], None, cloud.name, (*cloud.notes, *notes))
     vertices, faces = found
     finite = np.isfinite(vertices).all(axis=1)[faces].all(axis=1)
     used, faces = np.unique(faces[finite], return_inverse=True)
-    notes = tuple(note for note in cloud.notes if "sampled" not in note)
-    return ModelSource(vertices[used], faces.reshape(-1, 3), cloud.name, notes)
+    told = tuple(note for note in cloud.notes if "sampled" not in note)
+    return ModelSource(vertices[used], faces.reshape(-1, 3), cloud.name, told)
 
 
 def _mesh_file(path: Path) -> tuple[np.ndarray, np.ndarray] | None:
