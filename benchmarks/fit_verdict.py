@@ -41,7 +41,7 @@ from fullturn.evaluation.metrics import expected_calibration_error
 from fullturn.geometry.cloud import Cloud
 from fullturn.nn.evidence import load_evidence_net
 from fullturn.normalize import normalized_clouds
-from fullturn.pose.look import look
+from fullturn.pose.decide import find_and_judge
 from fullturn.pose.search import Finalists, SearchConfig, find_finalists
 from fullturn.pose.verdict import (
     VerdictWeights,
@@ -126,7 +126,9 @@ def collect(args: argparse.Namespace) -> None:
                 if args.once:
                     found = find_finalists(source, target, max_rotation_rad=limit)
                 else:
-                    found, _ = look(source, target, config=SearchConfig(), max_rotation_rad=limit)
+                    found, _ = find_and_judge(
+                        source, target, config=SearchConfig(), max_rotation_rad=limit
+                    )
             except FullturnError as error:
                 print(number, type(error).__name__, error, flush=True)
                 continue

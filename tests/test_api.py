@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 from scipy.spatial.transform import Rotation
+from told_method import Told
 
 import fullturn
 from fullturn import api
@@ -151,21 +152,7 @@ def test_the_verdict_hears_of_a_largest_rotation(monkeypatch: pytest.MonkeyPatch
     rng = np.random.default_rng(3)
     bar = rng.uniform(-1, 1, (400, 3)) * [1.0, 0.3, 0.1]
 
-    class Still(Method):
-        name, summary, reference = "still", "the identity, with nothing said", "these tests"
-        traits = Traits(limits_rotation=True)
-
-        def estimate(
-            self,
-            source: Cloud,
-            target: Cloud,
-            *,
-            rng: np.random.Generator,
-            max_rotation_rad: float | None = None,
-        ) -> Estimate:
-            return Estimate(torch.eye(4, dtype=torch.float64)[None])
-
-    monkeypatch.setattr(api, "get", lambda _: Still)
+    monkeypatch.setattr(api, "get", lambda _: Told)
     again = rng.uniform(-1, 1, (400, 3)) * [1.0, 0.3, 0.1]
     free = fullturn.register(bar, again)
     limited = fullturn.register(bar, again, max_rotation_deg=30)

@@ -14,9 +14,9 @@ from torch import Tensor
 from fullturn.geometry import rigid
 from fullturn.geometry.cloud import Cloud
 from fullturn.methods.base import Estimate, Method, Traits
+from fullturn.pose.decide import find_and_judge
 from fullturn.pose.fine import refine_fine
 from fullturn.pose.levels import LevelPair
-from fullturn.pose.look import look
 from fullturn.pose.search import LIMIT_EDGE_RAD, SearchConfig
 from fullturn.pose.symmetry import symmetry_of_poses
 from fullturn.pose.verdict import most_probability
@@ -64,7 +64,7 @@ class Consensus(Method):
     ) -> Estimate:
         config = self.config
         begin = time.perf_counter()
-        found, judged = look(
+        found, judged = find_and_judge(
             source,
             target,
             config=config.search,

@@ -8,8 +8,8 @@ from pose_shapes import pose_error, random_motions, teapot
 
 from fullturn.geometry import rigid
 from fullturn.geometry.cloud import Cloud
-from fullturn.pose import look as module
-from fullturn.pose.look import look
+from fullturn.pose import decide
+from fullturn.pose.decide import find_and_judge
 from fullturn.pose.search import Search, SearchConfig, find_finalists
 
 T_TRUE = random_motions(1, seed=4)[0]
@@ -30,7 +30,7 @@ def unrelated() -> tuple[Cloud, Cloud]:
 
 
 def test_a_sure_verdict_ends_it_after_one_look() -> None:
-    found, judged = look(*easy(), config=SMALL)
+    found, judged = find_and_judge(*easy(), config=SMALL)
     once = find_finalists(*easy(), config=SMALL)
     assert torch.equal(found.T_target_source, once.T_target_source)
     assert judged.none < 0.15
@@ -41,7 +41,7 @@ def test_a_sure_verdict_ends_it_after_one_look() -> None:
 
 def test_doubt_has_more_poses_looked_at() -> None:
     once = find_finalists(*unrelated(), config=SMALL)
-    found, judged = look(*unrelated(), config=SMALL)
+    found, judged = find_and_judge(*unrelated(), config=SMALL)
     assert judged.none > 0.15
     assert len(found.T_target_source) > len(once.T_target_source)
     assert len(found.features) == len(found.T_target_source)
@@ -49,7 +49,7 @@ def test_doubt_has_more_poses_looked_at() -> None:
 
 
 def test_a_second_look_is_what_a_wider_search_finds() -> None:
-    found, _ = look(*unrelated(), config=SMALL)
+    found, _ = find_and_judge(*unrelated(), config=SMALL)
     wide = find_finalists(*unrelated(), config=SMALL.wider(modes=4, finalists=2))
     assert torch.equal(found.T_target_source, wide.T_target_source)
     assert torch.equal(found.features, wide.features)
@@ -63,6 +63,6 @@ def test_the_hypotheses_are_made_once(monkeypatch: pytest.MonkeyPatch) -> None:
             made.append(1)
             super().__init__(*args, **options)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(module, "Search", Counted)
-    look(*unrelated(), config=SMALL)
+    monkeypatch.setattr(decide, "Search", Counted)
+    find_and_judge(*unrelated(), config=SMALL)
     assert len(made) == 1

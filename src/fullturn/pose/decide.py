@@ -12,7 +12,7 @@ _DOUBT = 0.15  # probability of "none of them" above which more poses are looked
 _MODES, _FINALISTS = 4, 2
 
 
-def look(
+def find_and_judge(
     source: Cloud,
     target: Cloud,
     *,
