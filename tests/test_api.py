@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 import torch
 from scipy.spatial.transform import Rotation
-from told_method import Told
 
 import fullturn
 from fullturn import api
@@ -19,6 +18,7 @@ from fullturn.geometry.cloud import Cloud
 from fullturn.io import save_cloud
 from fullturn.methods.base import Estimate, Method, Traits
 from fullturn.methods.registry import DEFAULT, get, methods, names
+from told_method import Told
 
 
 def shape(count: int, rng: np.random.Generator) -> np.ndarray:
