@@ -13,7 +13,13 @@ from fullturn.locating.model import PreparedModel
 from fullturn.locating.verify import FEATURES
 from fullturn.pose.grid import NearestGrid
 from fullturn.pose.planes import move_planes
-from fullturn.pose.verdict import load_weights, log_probabilities, same_pose, verdict_inputs
+from fullturn.pose.verdict import (
+    load_weights,
+    log_probabilities,
+    merge_same,
+    same_pose,
+    verdict_inputs,
+)
 
 SAME_SURFACE = 0.05  # of the diameter: the farthest that a point of one placement is off the other
 _COMPARED = 600  # points of the surface at least, where it has them
@@ -64,8 +70,8 @@ def judge(
     """Rank the poses of one part by the probability that the surface lies there.
 
     Poses that explain other points than the likeliest one does are no rivals of it: they may be
-    those of another instance. A pose's probabilities are the sums over all that are the same as it,
-    taken greedily: once a pose is listed, those that it speaks for are not listed again.
+    those of another instance. A pose's probabilities are the sums over all that are the same as it
+    (`merge_same`).
     """
     inputs = verdict_inputs(features.double())
     log_p = log_probabilities(inputs, load_weights("locate.safetensors", FEATURES))
@@ -78,16 +84,7 @@ def judge(
     T = T_scene_model[index]
     surface = same_surface(T, T, model, model_grid)
     surface |= surface.T.clone()
-    pose = same_pose(T, T)
-    free = torch.ones(len(index), dtype=torch.bool, device=p.device)
-    listed: list[tuple[int, float, float]] = []
-    total = surface.to(p.dtype) @ p
-    while bool(free.any()):
-        own = (pose & free).to(p.dtype) @ p
-        # The likeliest surface, and on it the likeliest pose.
-        at = int(torch.where(free, total + 1e-3 * own, -1.0).argmax())
-        listed.append((int(index[at]), float(own[at]), float(total[at].clamp_max(1.0))))
-        free &= ~pose[at]
-        free[at] = False
-    numbers, own_p, surface_p = zip(*listed, strict=True)
-    return Judged(list(numbers), list(own_p), list(surface_p))
+    total = (surface.to(p.dtype) @ p).clamp_max(1.0)
+    # The likeliest surface, and on it the likeliest pose.
+    rows, own = merge_same(p, same_pose(T, T), before=total)
+    return Judged(index[rows].tolist(), own, total[rows].tolist())

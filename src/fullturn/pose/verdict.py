@@ -28,6 +28,7 @@ _UNKNOWN = 0.2
 _STEPS = (0.03, 0.1, 0.3)
 _SMALL_TURN = 0.1  # of the limit
 _SERIES_BELOW_RAD = 1e-3
+_TIE = 1e-3  # weight of what only decides between equals
 _LARGEST_INPUT = 6.0  # standard deviations; beyond it, nothing was seen in the fit
 
 
@@ -185,22 +186,36 @@ def judge(
 ) -> Judged:
     """Rank the finalists by the probability that the truth lies within the tolerance of each.
 
-    That probability is the sum over the finalists within the tolerance. Taken greedily: once a
-    pose is listed, those that it speaks for are not listed again.
+    That probability is the sum over the finalists within the tolerance (`merge_same`).
     """
     shares = finalist_probabilities(T_target_source, features, max_rotation_rad=max_rotation_rad)
-    probability, none = shares[:-1], float(shares[-1])
     same = same_pose(T_target_source, T_target_source)
+    index, probability = merge_same(shares[:-1], same)
+    return Judged(index, probability, float(shares[-1]))
+
+
+def merge_same(
+    probability: Float[Tensor, " k"],
+    same: Bool[Tensor, "k k"],
+    *,
+    before: Float[Tensor, " k"] | None = None,
+) -> tuple[list[int], list[float]]:
+    """Rows in the order of the sums of probability over what is the same, and these sums.
+
+    Taken greedily: once a row is listed, those that it speaks for are not listed again, nor counted
+    for another. Where `before` differs, it decides the order.
+    """
     free = torch.ones(len(same), dtype=torch.bool, device=same.device)
-    index, listed = [], []
+    index, total = [], []
     while bool(free.any()):
         merged = (same & free).to(probability.dtype) @ probability
-        best = int(torch.where(free, merged, -1.0).argmax())
+        rank = merged if before is None else before + _TIE * merged
+        best = int(torch.where(free, rank, -1.0).argmax())
         index.append(best)
-        listed.append(float(merged[best]))
+        total.append(float(merged[best]))
         free &= ~same[best]
         free[best] = False
-    return Judged(index, listed, none)
+    return index, total
 
 
 @cache
