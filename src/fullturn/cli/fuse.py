@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from fullturn.cli.minimum import check_minimum
+
 if TYPE_CHECKING:
     from fullturn.fusion.result import Fusion
 
@@ -52,8 +54,7 @@ def fuse(
     from fullturn.cli.outputs import check_outputs
     from fullturn.io.save import CLOUD_SUFFIXES, save_cloud
 
-    if math.isnan(min_probability):
-        raise typer.BadParameter("--min-probability: expected a number from 0.01 to 1, got nan")
+    check_minimum(min_probability)
 
     check_outputs((out, CLOUD_SUFFIXES), (poses, (".json",)), (report, (".html", ".htm")))
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fullturn.cli.errors import BELOW_MINIMUM, tell
+from fullturn.cli.minimum import check_minimum, exit_if_below
 from fullturn.cli.viewpoint import parse_viewpoint
 
 if TYPE_CHECKING:
@@ -62,8 +61,7 @@ def locate(
     Exit codes: 0 located, 1 error, 2 wrong usage, 3 below --min-probability.
     """
     eye = parse_viewpoint(viewpoint, "--viewpoint")
-    if math.isnan(min_probability or 0.0):
-        raise typer.BadParameter("--min-probability: expected a number from 0 to 1, got nan")
+    check_minimum(min_probability)
 
     from fullturn.cli.outputs import check_outputs
     from fullturn.io.save import CLOUD_SUFFIXES, save_cloud
@@ -104,12 +102,7 @@ def locate(
         print(dumps(_content(result, str(model), str(scene))))
     else:
         _print_table(result, str(model), str(scene))
-    if min_probability is not None and result.surface_probability < min_probability:
-        tell(
-            f"the probability {result.surface_probability:.3f} is below the "
-            f"--min-probability {min_probability:g}"
-        )
-        raise typer.Exit(BELOW_MINIMUM)
+    exit_if_below(result.surface_probability, min_probability)
 
 
 def _ready(model: Path, prepared: Path | None) -> PreparedModel:

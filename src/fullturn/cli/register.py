@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from fullturn.cli.errors import BELOW_MINIMUM, tell
+from fullturn.cli.minimum import check_minimum, exit_if_below
 from fullturn.cli.outputs import check_outputs
 from fullturn.cli.viewpoint import parse_viewpoint
 
@@ -62,8 +61,7 @@ def register(
     """
     source_eye = parse_viewpoint(source_viewpoint, "--source-viewpoint")
     target_eye = parse_viewpoint(target_viewpoint, "--target-viewpoint")
-    if math.isnan(min_probability or 0.0):
-        raise typer.BadParameter("--min-probability: expected a number from 0 to 1, got nan")
+    check_minimum(min_probability)
     if max_rotation is not None and not 0.0 < max_rotation <= 180.0:
         raise typer.BadParameter(
             f"--max-rotation: expected an angle above 0 and up to 180, got {max_rotation:g}"
@@ -119,9 +117,4 @@ def register(
         print_json(result, source_name=str(source), target_name=str(target))
     else:
         print_table(result, source_name=str(source), target_name=str(target))
-    if min_probability is not None and result.success_probability < min_probability:
-        tell(
-            f"the probability {result.success_probability:.3f} is below the "
-            f"--min-probability {min_probability:g}"
-        )
-        raise typer.Exit(BELOW_MINIMUM)
+    exit_if_below(result.success_probability, min_probability)
