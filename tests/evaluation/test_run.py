@@ -57,6 +57,7 @@ def test_a_run_writes_rows_summaries_and_times(tmp_path: Path) -> None:
     assert rows[5]["success_probability"] == rows[5]["error"] == ""
     assert sum(advanced) == 8
     timing = json.loads((tmp_path / "run" / "timing.json").read_text())
+    assert timing["commit"] == json.loads((tmp_path / "run" / "summary.json").read_text())["commit"]
     assert timing["machine"]["threads"] == 1
     times = timing["sets"]["listed/pairs"]["truth"]
     assert times["cpu_seconds_mean"] > 0

@@ -63,7 +63,8 @@ def evaluate(
         "methods": {n: _described(get(method), prints[n][1]) for n, method in names.items()},
         "sets": {},
     }
-    timing: dict[str, Any] = {"machine": machine(), "sets": {}}
+    commit = summary["commit"]
+    timing: dict[str, Any] = {"commit": commit, "machine": machine(), "sets": {}}
     files: dict[str, str] = {}
     with Crew(Predictor(seed), workers=workers) as crew:
         codes = {name: code for name, (code, _) in prints.items()}
