@@ -49,9 +49,11 @@ print([name for name in heavy if name in sys.modules])
 @pytest.mark.parametrize("arguments", [["--help"], ["register", "--help"], ["--version"]])
 def test_help_is_quick_and_imports_nothing_heavy(arguments: list[str]) -> None:
     _, bare = run("pass")
+    _, needed = run("import typer.rich_utils")
     out, seconds = run(HELP.format(arguments=arguments))
     assert out.splitlines()[-1] == "[]"
-    assert seconds - bare < 0.5
+    # What draws any help has to be imported: machines differ, but this ratio hardly does.
+    assert seconds - bare < 4 * (needed - bare)
 
 
 def test_the_public_names_are_there_and_lazy() -> None:

@@ -167,7 +167,6 @@ def test_another_unit_is_said(dog_model: PreparedModel) -> None:
         (None, {"instances": 0}, "at least 1"),
         (None, {"instances": True}, "at least 1"),
         (None, {"min_probability": 2.0}, "from 0 to 1"),
-        (None, {"min_probability": "a"}, "from 0 to 1"),
     ],
 )
 def test_bad_input_is_named(
@@ -177,3 +176,9 @@ def test_bad_input_is_named(
         scene, _, _ = scan([model()], (2.0, 2.0, 1.0), np.random.default_rng(1), pixels=40)
     with pytest.raises(InputError, match=message):
         fullturn.locate(dog_model, scene, **told)  # type: ignore[arg-type]
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_a_probability_that_is_no_number_is_named(dog_model: PreparedModel) -> None:
+    with pytest.raises(InputError, match="from 0 to 1"):
+        fullturn.locate(dog_model, np.eye(3), min_probability="a")  # type: ignore[arg-type]

@@ -78,7 +78,7 @@ def test_distances_heights_and_patches_by_hand() -> None:
     cosine = ((own.normals @ T[0, :3, :3].mT).numpy() * normals).sum(1)
     near = distance < 1.5 * H
     around = cKDTree(own.points.numpy()).query(own.points.numpy(), k=12)[1]
-    rows = own.keypoints.numpy()
+    rows = own.keypoints.numpy()[::2]  # every second one is heard
     expected = {
         "distance": np.minimum(distance / H, 4),
         "height": np.clip(height / H, -3, 3),
