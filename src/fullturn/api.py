@@ -16,7 +16,7 @@ from fullturn.methods.registry import get, methods
 from fullturn.normalize import normalized_clouds
 from fullturn.pose.explain import explain, pose_overlap
 from fullturn.pose.search import find_finalists
-from fullturn.pose.verdict import finalist_probabilities, most_probability, same_pose
+from fullturn.pose.verdict import finalist_probabilities, limited, same_pose
 from fullturn.result import Alternative, Registration, Symmetry
 from fullturn.threads import torch_threads
 
@@ -143,8 +143,7 @@ def _judged(
     stated = finalist_probabilities(
         found.T_target_source[rivals], found.features[rivals], max_rotation_rad=max_rotation_rad
     )[: len(T)]
-    most, notes = most_probability(source, target)
-    return stated * (most / max(float(stated.sum()), most)), notes
+    return limited(stated, source, target)
 
 
 def _symmetry(found: CloudSymmetry | None) -> Symmetry | None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from numbers import Real
+
 
 class FullturnError(Exception):
     """Base of all named errors; the command line prints it as one line and exits with 1."""
@@ -21,6 +23,11 @@ class WriteError(FullturnError, OSError):
 
 class DependencyError(FullturnError, ImportError):
     """An optional package is missing; the message names the extra to install."""
+
+
+def is_number(value: object) -> bool:
+    """Whether a caller gave a real number; True and False are none."""
+    return isinstance(value, Real) and not isinstance(value, bool)
 
 
 def one_line(text: object) -> str:

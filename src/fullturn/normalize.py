@@ -135,10 +135,9 @@ def _radius(distance: np.ndarray) -> float:
 def _stray_notes(
     role: str, points: np.ndarray, center: np.ndarray, radius: float
 ) -> tuple[str, ...]:
-    distance = np.linalg.norm(points - center, axis=1)
-    count = int(far_from_the_rest(points, center, radius).sum())
-    if not count:
+    far = points[far_from_the_rest(points, center, radius)]
+    if not len(far):
         return ()
-    what = "1 point lies" if count == 1 else f"{count} points lie"
-    away = distance.max() / radius
+    what = "1 point lies" if len(far) == 1 else f"{len(far)} points lie"
+    away = np.linalg.norm(far - center, axis=1).max() / radius
     return (f"{role}: {what} far from the rest, up to {away:.3g} radii: a stray return?",)

@@ -8,10 +8,9 @@ import signal
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from multiprocessing.connection import Connection, wait
-from numbers import Real
 from typing import Any
 
-from fullturn.errors import FullturnError, InputError, one_line
+from fullturn.errors import FullturnError, InputError, is_number, one_line
 
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 _CANNOT_START = (
@@ -103,8 +102,7 @@ def check_workers(workers: Any) -> int:
         if hasattr(os, "sched_getaffinity"):
             return len(os.sched_getaffinity(0))
         return os.cpu_count() or 1
-    is_number = isinstance(workers, Real) and not isinstance(workers, bool)
-    if not is_number or workers % 1 != 0 or workers < 1:
+    if not is_number(workers) or workers % 1 != 0 or workers < 1:
         raise InputError(f"workers: expected a whole number of at least 1, got {workers!r}")
     return int(workers)
 

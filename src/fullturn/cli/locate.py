@@ -64,10 +64,12 @@ def locate(
     check_minimum(min_probability)
 
     from fullturn.cli.outputs import check_outputs
+    from fullturn.io.atomic import check_path
     from fullturn.io.save import CLOUD_SUFFIXES, save_cloud
     from fullturn.io.transform import TRANSFORM_SUFFIXES, write_transform
 
-    is_made = prepared is not None and not prepared.exists()
+    # One that exists is read, and may lie where nothing can be written.
+    is_made = prepared is not None and not check_path(prepared, (".safetensors",)).exists()
     check_outputs(
         (out, TRANSFORM_SUFFIXES),
         (save, CLOUD_SUFFIXES),

@@ -5,13 +5,12 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Iterator, Sequence
-from numbers import Real
 from typing import Any
 
 import numpy as np
 
 from fullturn.batch import check_seed
-from fullturn.errors import InputError
+from fullturn.errors import InputError, is_number
 from fullturn.fusion.cache import EdgeCache
 from fullturn.fusion.connect import connect_groups, connect_scans, refine_groups
 from fullturn.fusion.edges import Edge, Registrar
@@ -65,8 +64,7 @@ def fuse(
     check_seed(seed)
     name = get(method)().name
     workers = check_workers(workers)
-    is_number = isinstance(min_probability, Real) and not isinstance(min_probability, bool)
-    if not is_number or not 0.0 < min_probability <= 1.0:
+    if not is_number(min_probability) or not 0.0 < min_probability <= 1.0:
         raise InputError(
             f"min_probability: expected a number above 0 and up to 1, got {min_probability!r}"
         )

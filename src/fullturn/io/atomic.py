@@ -21,7 +21,7 @@ def write_atomic(path: str | os.PathLike[str], content: bytes | str) -> None:
     Raises:
         WriteError: the folder is missing or not writable, or `path` is a folder.
     """
-    goal = _goal(path, ())
+    goal = check_path(path, ())
     data = content.encode() if isinstance(content, str) else content
     temporary: str | None = None
     try:
@@ -49,7 +49,7 @@ def check_output(path: str | os.PathLike[str], suffixes: tuple[str, ...] = ()) -
         WriteError: none of `suffixes` (if any are given), no such folder, a folder itself, or a
             place where no file can be made.
     """
-    goal = _goal(path, suffixes)
+    goal = check_path(path, suffixes)
     try:
         real = goal.resolve()
         with suppress(FileNotFoundError):
@@ -79,8 +79,12 @@ def make_folder(path: str | os.PathLike[str]) -> Path:
     return folder
 
 
-def _goal(path: str | os.PathLike[str], suffixes: tuple[str, ...]) -> Path:
-    """The path, if its suffix is right and its folder is one."""
+def check_path(path: str | os.PathLike[str], suffixes: tuple[str, ...]) -> Path:
+    """The path, if its suffix is right and its folder is one; whether it can be written is open.
+
+    Raises:
+        WriteError: none of `suffixes` (if any are given), no such folder, or a folder itself.
+    """
     goal, name = Path(path), one_line(path)
     suffix = goal.suffix.lower()
     if suffixes and suffix not in suffixes:

@@ -6,14 +6,13 @@ import os
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from numbers import Real
 from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from fullturn.errors import InputError
+from fullturn.errors import InputError, is_number
 from fullturn.geometry import rigid
 from fullturn.io import LoadedCloud, load_cloud
 from fullturn.io.check import as_viewpoint
@@ -200,8 +199,7 @@ def _check_instances(instances: int | None, min_probability: float) -> None:
     is_count = isinstance(instances, int) and not isinstance(instances, bool) and instances >= 1
     if instances is not None and not is_count:
         raise InputError(f"instances: expected a whole number of at least 1, got {instances!r}")
-    is_number = isinstance(min_probability, Real) and not isinstance(min_probability, bool)
-    if not is_number or not 0.0 <= min_probability <= 1.0:
+    if not is_number(min_probability) or not 0.0 <= min_probability <= 1.0:
         raise InputError(f"min_probability: expected a number from 0 to 1, got {min_probability!r}")
 
 

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from numbers import Real
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from fullturn.errors import InputError
+from fullturn.errors import InputError, is_number
 from fullturn.geometry.cloud import Cloud
 from fullturn.methods.base import Estimate, Method
 from fullturn.methods.registry import get, names
@@ -54,8 +53,7 @@ def check_max_rotation(max_rotation_deg: Any, method: type[Method]) -> float | N
     """
     if max_rotation_deg is None:
         return None
-    is_number = isinstance(max_rotation_deg, Real) and not isinstance(max_rotation_deg, bool)
-    if not is_number or not 0.0 < max_rotation_deg <= 180.0:
+    if not is_number(max_rotation_deg) or not 0.0 < max_rotation_deg <= 180.0:
         raise InputError(
             "max_rotation_deg: expected an angle above 0 and up to 180, or None, got "
             f"{max_rotation_deg!r:.80}"

@@ -19,7 +19,7 @@ from fullturn.pose.fine import refine_fine
 from fullturn.pose.levels import LevelPair
 from fullturn.pose.search import LIMIT_EDGE_RAD, SearchConfig
 from fullturn.pose.symmetry import symmetry_of_poses
-from fullturn.pose.verdict import most_probability
+from fullturn.pose.verdict import limited
 
 
 @dataclass(frozen=True)
@@ -79,9 +79,8 @@ class Consensus(Method):
             if rank == 0 or probability >= config.least_probability
         ][: 1 + config.most_alternatives]
         T = found.T_target_source[[index for index, _ in kept]].clone()
-        probability = torch.tensor([p for _, p in kept], dtype=T.dtype)
-        most, notes = most_probability(source, target)
-        probability *= most / max(float(probability.sum()), most)
+        stated = torch.tensor([p for _, p in kept], dtype=T.dtype)
+        probability, notes = limited(stated, source, target)
         judged_at = time.perf_counter()
         answer = refine_fine(T[0], source, target, start=2.0 * found.spacing)
         angle = float(rigid.rotation_angle_rad(answer[:3, :3]))

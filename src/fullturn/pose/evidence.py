@@ -9,6 +9,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn.functional import pad
 
+from fullturn.geometry.sampling import evenly
 from fullturn.nn.evidence import load_evidence_net
 from fullturn.pose.contact import NEAR, Contact
 from fullturn.pose.levels import Level, LevelPair
@@ -98,7 +99,7 @@ def _signals_of_side(
     contact: Contact, likeness: Likeness, level: Level, described: Level, h: float, wide_h: float
 ) -> Float[Tensor, "k m s"]:
     rows = level.keypoints
-    rows = rows[:: max(1, round(len(rows) / _HEARD))]
+    rows = rows[evenly(len(rows), _HEARD)]
     keypoint = torch.cdist(level.points[rows], described.points[described.keypoints]).argmin(1)
     k, m = len(contact.points), len(rows)
     zero = contact.distance.new_zeros(k, m)

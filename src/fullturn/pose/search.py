@@ -157,15 +157,14 @@ class Search:
     def finalists(
         self, config: SearchConfig, *, given: Float[Tensor, "g 4 4"] | None = None
     ) -> Finalists:
-        """As many as the configuration says; looking wider takes up no more than what is new."""
-        h = self._fine.spacing
+        """As many as `config` says, out of the hypotheses that are there."""
         T = self._refined_on_grids(config)
         T = _within(T, self._max_rotation_rad, slack_rad=LIMIT_EDGE_RAD)
         if self._fine is not self._coarse:
             T = _polish(self._fine, T)
             T = _within(T, self._max_rotation_rad, slack_rad=LIMIT_EDGE_RAD)
         else:
-            T = lay_on_points(T, self._fine.source.points, self._grids[1], close=_CLOSE * h)
+            T = _laid_on_points(self._fine, self._grids, T)
         self._clock.lap("refine")
         if given is not None:
             T = torch.cat([given.to(T), T])
@@ -314,7 +313,11 @@ def _polish(pair: LevelPair, T: Tensor) -> Tensor:
     scales = (2 * h,) * 4 + (1.5 * h,) * 3
     grids = _grids(pair, band=2 * h)
     T = refine_poses(T, pair.source.points, pair.target.points, *grids, scales=scales)
-    return lay_on_points(T, pair.source.points, grids[1], close=_CLOSE * h)
+    return _laid_on_points(pair, grids, T)
+
+
+def _laid_on_points(pair: LevelPair, grids: list[NearestGrid], T: Tensor) -> Tensor:
+    return lay_on_points(T, pair.source.points, grids[1], close=_CLOSE * pair.spacing)
 
 
 def _grids(pair: LevelPair, *, band: float) -> list[NearestGrid]:

@@ -56,20 +56,23 @@ class Judged:
     none: float  # the probability that none of the finalists is right
 
 
-def most_probability(source: Cloud, target: Cloud) -> tuple[float, tuple[str, ...]]:
-    """What all poses of two normalized clouds together may be given, and why, if less than 1.
+def limited(
+    probability: Float[Tensor, " k"], source: Cloud, target: Cloud
+) -> tuple[Float[Tensor, " k"], tuple[str, ...]]:
+    """Probabilities of poses of two normalized clouds, as far as they can be known, and a note.
 
-    The verdict was fit on clouds of at least 12 points, and of about one size.
+    The verdict was fit on clouds of at least 12 points, and of about one size. Beyond that, all
+    poses together get 0.2 at most.
     """
-    fewest = min(len(source.points), len(target.points))
-    if fewest < _LEAST_POINTS:
-        why = f"fewer than {_LEAST_POINTS} points"
-        return _UNKNOWN, (f"{why}: how probable a pose is isn't known, and {_UNKNOWN} at most",)
     small, large = sorted(_radius(cloud) for cloud in (source, target))
-    if small < _LEAST_SIZE * large:
+    if min(len(source.points), len(target.points)) < _LEAST_POINTS:
+        why = f"fewer than {_LEAST_POINTS} points"
+    elif small < _LEAST_SIZE * large:
         why = f"one cloud is {large / small:.3g} times as large as the other"
-        return _UNKNOWN, (f"{why}: how probable a pose is isn't known, and {_UNKNOWN} at most",)
-    return 1.0, ()
+    else:
+        return probability, ()
+    note = f"{why}: how probable a pose is isn't known, and {_UNKNOWN} at most"
+    return probability * (_UNKNOWN / max(float(probability.sum()), _UNKNOWN)), (note,)
 
 
 def _radius(cloud: Cloud) -> float:
