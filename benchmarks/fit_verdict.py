@@ -33,12 +33,13 @@ from torch import Tensor
 from evidence_fit import evidence_of_all, fit_evidence, split_signals
 from free_shapes import DATA, free_shapes
 from fullturn.data.mixture import KINDS, mixed_pair
-from fullturn.data.motion import axis_angle_rotation, invert, move, rigid
+from fullturn.data.motion import axis_angle_rotation
 from fullturn.data.pair import Pair
 from fullturn.errors import FullturnError
 from fullturn.evaluation.layout import Table, markdown
 from fullturn.evaluation.metrics import expected_calibration_error
 from fullturn.geometry.cloud import Cloud
+from fullturn.geometry.motion import invert, move, rigid
 from fullturn.nn.evidence import load_evidence_net
 from fullturn.normalize import normalized_clouds
 from fullturn.pose.decide import find_and_judge

@@ -47,13 +47,13 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
-from fullturn.data.motion import move
 from fullturn.data.mvp_views import in_unit_ball
 from fullturn.data.shapes import MeshPack
 from fullturn.evaluation.layout import Table, markdown
 from fullturn.fusion.fuse import fuse
 from fullturn.fusion.report import scan_colors
 from fullturn.fusion.result import Fusion
+from fullturn.geometry.motion import move
 from fullturn.io.atomic import write_atomic
 from fullturn.viz.figures import draw_panel
 from fullturn.viz.scene import thin

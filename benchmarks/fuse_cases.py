@@ -12,7 +12,7 @@ import trimesh
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from fullturn.data.motion import ball_translation, invert, move, rigid, uniform_rotation
+from fullturn.data.motion import ball_translation, uniform_rotation
 from fullturn.data.mvp_rg import MvpRgConfig
 from fullturn.data.mvp_views import cameras_of, view_of
 from fullturn.data.scanner import Scanner
@@ -20,6 +20,7 @@ from fullturn.data.surface import sample_surface
 from fullturn.evaluation.metrics import rotation_error_deg
 from fullturn.fusion.result import Fusion
 from fullturn.geometry.diameter import diameter
+from fullturn.geometry.motion import invert, move, rigid
 from fullturn.io import load_cloud
 
 WITHIN_DEG = 5.0

@@ -24,7 +24,6 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
-from fullturn.data.motion import move
 from fullturn.data.open import open_pairs, open_shapes, protocol_pairs
 from fullturn.data.overlap import scan_overlap
 from fullturn.data.pair import Pair
@@ -36,6 +35,7 @@ from fullturn.evaluation.predict import Prediction, predict
 from fullturn.evaluation.run import slug
 from fullturn.evaluation.score import Score, ScoredPair
 from fullturn.evaluation.tables import family
+from fullturn.geometry.motion import move
 from fullturn.methods.base import Method
 from fullturn.methods.registry import get
 from fullturn.viz.figures import INK, SOURCE, TARGET, draw_panel, write_figure

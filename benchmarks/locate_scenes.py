@@ -9,10 +9,11 @@ import numpy as np
 import trimesh
 
 from fullturn.data.camera import look_at
-from fullturn.data.motion import invert, move, rigid, uniform_direction, uniform_rotation
+from fullturn.data.motion import uniform_direction, uniform_rotation
 from fullturn.data.random_sensor import random_sensor
 from fullturn.data.raycast import Raycaster, back_project, mesh_ball, to_object
 from fullturn.data.sensor import sense
+from fullturn.geometry.motion import invert, move, rigid
 
 _FIRST_PIXELS = 64  # a side
 _MOST_PIXELS = 360

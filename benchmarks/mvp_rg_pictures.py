@@ -17,9 +17,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
-from fullturn.data.motion import move
 from fullturn.data.mvp_rg import MvpRgPairs
 from fullturn.evaluation.metrics import rotation_error_deg
+from fullturn.geometry.motion import move
 from fullturn.viz.curves import COLORS, save_curves
 from fullturn.viz.figures import INK, MUTED, SOURCE, TARGET, draw_panel
 from fullturn.viz.scene import viewing_axes

@@ -18,11 +18,12 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from fullturn.data.motion import ball_translation, rigid, uniform_rotation
+from fullturn.data.motion import ball_translation, uniform_rotation
 from fullturn.data.perturb import crop_nearest, far_viewpoint
 from fullturn.data.procedural import demo_object, sample_surface
 from fullturn.evaluation.layout import NONE, Table, markdown
 from fullturn.evaluation.run import machine
+from fullturn.geometry.motion import rigid
 from fullturn.geometry.rigid import apply
 from fullturn.methods.learned.gmcnet import GMCNet
 from fullturn.nn.clouds import CloudBatch

@@ -14,12 +14,12 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from fullturn.data.draw import ProtocolPairs
-from fullturn.data.motion import move
 from fullturn.data.open import open_shapes
 from fullturn.data.overlap import scan_overlap
 from fullturn.data.pair import Pair
 from fullturn.data.protocols import PROTOCOLS, Protocol
 from fullturn.evaluation.metrics import rotation_error_deg
+from fullturn.geometry.motion import move
 
 
 def counted(protocol: Protocol) -> Protocol:

@@ -20,8 +20,9 @@ import numpy as np
 from PIL import Image
 
 import fullturn
-from fullturn.data.motion import ball_translation, invert, move, rigid, uniform_rotation
+from fullturn.data.motion import ball_translation, uniform_rotation
 from fullturn.evaluation.metrics import rotation_error_deg
+from fullturn.geometry.motion import invert, move, rigid
 from fullturn.viz.figures import draw_figure
 from fullturn.viz.tables import probability
 

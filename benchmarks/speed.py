@@ -22,13 +22,14 @@ from typing import Any
 
 import numpy as np
 
-from fullturn.data.motion import ball_translation, move, rigid, uniform_rotation
+from fullturn.data.motion import ball_translation, uniform_rotation
 from fullturn.data.pair import Pair
 from fullturn.data.perturb import crop_nearest, far_viewpoint, jitter, resample
 from fullturn.data.procedural import demo_object, sample_surface
 from fullturn.evaluation.layout import Table, markdown
 from fullturn.evaluation.metrics import rotation_error_deg
 from fullturn.evaluation.run import machine
+from fullturn.geometry.motion import move, rigid
 from fullturn.workers import THREAD_VARIABLES
 
 SIZES = (768, 2_048, 20_000, 1_000_000)

@@ -5,8 +5,8 @@ import pytest
 from scipy.spatial import cKDTree
 
 from fullturn.data.camera import Camera, bounding_ball, cameras_around, look_at, sphere_directions
-from fullturn.data.motion import move
 from fullturn.errors import InputError
+from fullturn.geometry.motion import move
 
 ORIGIN = np.zeros(3)
 EYES = {

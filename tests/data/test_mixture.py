@@ -8,13 +8,13 @@ from scipy.spatial import cKDTree
 
 from fullturn.data import mixture
 from fullturn.data.mixture import KINDS, MixedPairs, mixed_pair
-from fullturn.data.motion import move
 from fullturn.data.overlap import scan_overlap
 from fullturn.data.pair import Pair
 from fullturn.data.random_sensor import random_sensor
 from fullturn.data.sensor import Sensor
 from fullturn.data.shapes import ProceduralShapes
 from fullturn.errors import InputError
+from fullturn.geometry.motion import move
 
 SHAPES = ProceduralShapes(1000, seed=2)
 

@@ -50,11 +50,3 @@ def test_translation_lengths_fill_the_range() -> None:
     lengths = [np.linalg.norm(motion.ball_translation(rng, max_length=0.5)) for _ in range(2000)]
     assert max(lengths) <= 0.5
     assert np.mean(lengths) == pytest.approx(0.25, abs=0.01)
-
-
-def test_inverse_undoes_the_motion() -> None:
-    rng = np.random.default_rng(0)
-    T = motion.rigid(motion.uniform_rotation(rng), rng.normal(size=3))
-    points = rng.normal(size=(7, 3))
-    assert np.allclose(motion.move(motion.invert(T), motion.move(T, points)), points)
-    assert np.allclose(motion.invert(T), np.linalg.inv(T))

@@ -17,7 +17,6 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from fullturn.data import mvp_pair
-from fullturn.data.motion import move
 from fullturn.data.mvp_build import build_mvp_rg, one_after_the_other
 from fullturn.data.mvp_pair import PairMaker, Task
 from fullturn.data.mvp_rg import MvpRgConfig, MvpRgPairs
@@ -27,6 +26,7 @@ from fullturn.data.overlap import scan_overlap
 from fullturn.data.sensor import Sensor
 from fullturn.data.shapes import MeshSource, ProceduralShapes
 from fullturn.errors import FullturnError, InputError, ReadError, WriteError
+from fullturn.geometry.motion import move
 
 SMALL = MvpRgConfig(train=5, test=3, points=150, resolution=32, views=10, shard=2, seed=3)
 SHAPES = ProceduralShapes(12, seed=5)

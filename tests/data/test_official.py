@@ -11,10 +11,11 @@ import pytest
 
 from fullturn.data.categories import MODELNET40_CLASSES
 from fullturn.data.draw import ProtocolPairs
-from fullturn.data.motion import axis_angle_rotation, ball_translation, move, rigid
+from fullturn.data.motion import axis_angle_rotation, ball_translation
 from fullturn.data.official import ModelNet40Hdf5, OfficialModelNet40
 from fullturn.data.protocols import PROTOCOLS
 from fullturn.errors import DependencyError, InputError, ReadError
+from fullturn.geometry.motion import move, rigid
 
 LABELS = (3, 25, 19, 20, 39)
 

@@ -9,18 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fullturn.data.motion import (
-    axis_angle_rotation,
-    ball_translation,
-    invert,
-    move,
-    rigid,
-    uniform_rotation,
-)
+from fullturn.data.motion import axis_angle_rotation, ball_translation, uniform_rotation
 from fullturn.data.official import OfficialModelNet40
 from fullturn.data.official_mvp import MVP_CLASSES, OfficialMvp
 from fullturn.data.open import open_pairs
 from fullturn.errors import DependencyError, InputError, ReadError
+from fullturn.geometry.motion import invert, move, rigid
 
 N, POINTS = 5, 30
 

@@ -10,10 +10,10 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from fullturn.data.draw import ProtocolPairs
-from fullturn.data.motion import move
 from fullturn.data.protocols import PROTOCOLS, Protocol
 from fullturn.data.shapes import ProceduralShapes
 from fullturn.data.stored import StoredPoints
+from fullturn.geometry.motion import move
 
 COUNT = 300
 

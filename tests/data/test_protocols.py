@@ -10,13 +10,13 @@ from scipy.spatial.transform import Rotation
 
 from fullturn.data.categories import AXISYMMETRIC_CLASSES, MODELNET40_CLASSES
 from fullturn.data.draw import ProtocolPairs
-from fullturn.data.motion import move
 from fullturn.data.overlap import scan_overlap
 from fullturn.data.pair import Pair
 from fullturn.data.protocols import PROTOCOLS
 from fullturn.data.shapes import ProceduralShapes, ShapeSource
 from fullturn.data.stored import StoredPoints
 from fullturn.errors import InputError
+from fullturn.geometry.motion import move
 
 
 class OneShapePerClass(ShapeSource):

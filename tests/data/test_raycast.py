@@ -10,11 +10,12 @@ import pytest
 import trimesh
 
 from fullturn.data.camera import Camera, bounding_ball, cameras_around, look_at
-from fullturn.data.motion import move, rigid, uniform_rotation
+from fullturn.data.motion import uniform_rotation
 from fullturn.data.procedural import demo_object, dog, procedural_mesh
 from fullturn.data.raycast import Raycaster, back_project, mesh_ball, to_object
 from fullturn.data.solids import box, grid_surface, join, superquadric
 from fullturn.errors import DependencyError, InputError
+from fullturn.geometry.motion import move, rigid
 
 Backend = Literal["embree", "python"]
 needs_embree = pytest.mark.skipif(find_spec("embreex") is None, reason="needs embreex")

@@ -7,11 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fullturn.data.motion import invert, move, rigid, uniform_rotation
+from fullturn.data.motion import uniform_rotation
 from fullturn.data.procedural import demo_object
 from fullturn.data.stanford import StanfordScans
 from fullturn.data.surface import sample_surface
 from fullturn.errors import InputError, ReadError
+from fullturn.geometry.motion import invert, move, rigid
 from fullturn.io import save_cloud
 
 PAIRS = """source,target,overlap_min,relative_angle_deg

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 import trimesh
 
-from fullturn.data.motion import invert, move
 from fullturn.data.procedural import demo_object
 from fullturn.data.raycast import back_project, mesh_ball, to_object
 from fullturn.data.sensor import Sensor
 from fullturn.data.solids import box, superquadric
 from fullturn.data.views import RangeView, view_mesh, with_plane
 from fullturn.errors import InputError
+from fullturn.geometry.motion import invert, move
 
 SMALL = {"width": 48, "height": 48}
 

@@ -8,7 +8,6 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from fullturn.data.camera import Camera, look_at
-from fullturn.data.motion import move
 from fullturn.data.overlap import scan_overlap
 from fullturn.data.pair import Pair
 from fullturn.data.procedural import demo_object
@@ -19,6 +18,7 @@ from fullturn.data.sensor import Sensor
 from fullturn.data.solids import box, join, placed, superquadric
 from fullturn.data.surface import sample_surface
 from fullturn.errors import InputError
+from fullturn.geometry.motion import move
 
 BALL = superquadric((1, 1, 1), sections=100)
 

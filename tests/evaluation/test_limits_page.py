@@ -23,12 +23,12 @@ from run_pairs import listed_pairs, write_methods
 import covariance
 import limits
 from fullturn.data.draw import ProtocolPairs
-from fullturn.data.motion import move
 from fullturn.data.pair_set import PairSet
 from fullturn.data.protocols import PROTOCOLS
 from fullturn.data.shapes import ProceduralShapes
 from fullturn.evaluation.folders import read_runs
 from fullturn.evaluation.run import evaluate
+from fullturn.geometry.motion import move
 from fullturn.methods.registry import get
 
 

@@ -13,7 +13,7 @@ import trimesh
 from fusion_cases import random_pose
 from scipy.spatial.transform import Rotation
 
-from fullturn.data.motion import invert, move, rigid
+from fullturn.geometry.motion import invert, move, rigid
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 

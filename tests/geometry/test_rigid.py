@@ -40,18 +40,15 @@ def motions(batch: tuple[int, ...], dtype: torch.dtype, *, seed: int = 0) -> tor
 @pytest.mark.parametrize("batch", BATCHES)
 def test_group_axioms(batch: tuple[int, ...], dtype: torch.dtype) -> None:
     tolerance = TOLERANCE[dtype]
-    A, B, C = (motions(batch, dtype, seed=seed) for seed in range(3))
+    A, B = (motions(batch, dtype, seed=seed) for seed in range(2))
     identity = torch.eye(4, dtype=dtype).expand_as(A)
     points = torch.from_numpy(np.random.default_rng(1).standard_normal((*batch, 7, 3))).to(dtype)
     close = {"rtol": 0, "atol": tolerance}
-    torch.testing.assert_close(rigid.compose(A, identity), A, **close)
-    torch.testing.assert_close(rigid.compose(A, rigid.invert(A)), identity, **close)
-    torch.testing.assert_close(rigid.compose(rigid.invert(A), A), identity, **close)
+    torch.testing.assert_close(A @ rigid.invert(A), identity, **close)
+    torch.testing.assert_close(rigid.invert(A) @ A, identity, **close)
+    torch.testing.assert_close(rigid.invert(A @ B), rigid.invert(B) @ rigid.invert(A), **close)
     torch.testing.assert_close(
-        rigid.compose(rigid.compose(A, B), C), rigid.compose(A, rigid.compose(B, C)), **close
-    )
-    torch.testing.assert_close(
-        rigid.apply(A, rigid.apply(B, points)), rigid.apply(rigid.compose(A, B), points), **close
+        rigid.apply(A, rigid.apply(B, points)), rigid.apply(A @ B, points), **close
     )
 
 

@@ -6,9 +6,10 @@ import numpy as np
 import trimesh
 
 from fullturn.data.camera import look_at
-from fullturn.data.motion import move, rigid, uniform_rotation
+from fullturn.data.motion import uniform_rotation
 from fullturn.data.procedural import dog
 from fullturn.data.raycast import Raycaster, back_project, to_object
+from fullturn.geometry.motion import move, rigid
 
 
 def model() -> trimesh.Trimesh:

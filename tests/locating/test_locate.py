@@ -12,9 +12,10 @@ from locate_scenes_of import model, moved, scan, square
 from scipy.spatial.transform import Rotation
 
 import fullturn
-from fullturn.data.motion import invert, move, rigid, uniform_rotation
+from fullturn.data.motion import uniform_rotation
 from fullturn.errors import InputError
 from fullturn.evaluation.metrics import add
+from fullturn.geometry.motion import invert, move, rigid
 from fullturn.locating.judge import Judged, judge
 from fullturn.locating.model import ModelConfig, PreparedModel, prepare
 from fullturn.locating.search import LocateConfig

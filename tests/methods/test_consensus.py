@@ -11,8 +11,9 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 import fullturn
-from fullturn.data.motion import move, rigid, uniform_rotation
+from fullturn.data.motion import uniform_rotation
 from fullturn.data.procedural import demo_object, procedural_mesh, sample_surface
+from fullturn.geometry.motion import move, rigid
 
 
 @cache

@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from pose_shapes import perturbations, pose_error, random_motions, teapot
+from pose_shapes import perturbations, random_motions
 from torch import Tensor
 
 from fullturn.geometry import rigid
-from fullturn.geometry.cloud import Cloud
-from fullturn.pose.symmetry import cloud_symmetries, symmetry_of_poses
+from fullturn.pose.symmetry import symmetry_of_poses
 
 AXIS = torch.tensor([0.6, 0.0, 0.8]).double()
 CENTER = torch.tensor([0.1, -0.2, 0.05]).double()
@@ -96,32 +95,3 @@ def test_the_target_frame_is_nothing() -> None:
     assert there is not None
     assert here.order == there.order
     np.testing.assert_allclose(here.axis, there.axis, atol=1e-9)
-
-
-def box(count: int, *, seed: int = 0) -> Tensor:
-    """Points of the surface of a box with three different sides."""
-    rng = np.random.default_rng(seed)
-    half = np.array([0.8, 0.5, 0.3])
-    points = rng.uniform(-1, 1, (count, 3)) * half
-    area = np.array([half[1] * half[2], half[2] * half[0], half[0] * half[1]])
-    axis = rng.choice(3, count, p=area / area.sum())
-    points[np.arange(count), axis] = (rng.choice([-1.0, 1.0], (count, 1)) * half)[
-        np.arange(count), axis
-    ]
-    return torch.from_numpy(points)
-
-
-def test_a_box_has_its_three_half_turns() -> None:
-    points = box(1500)
-    found = cloud_symmetries(Cloud(points - points.mean(0)))
-    for axis in torch.eye(3).double():
-        half_turn = rigid.make(torch.diag(2 * axis - 1), torch.zeros(3).double())
-        angle, offset = pose_error(found, half_turn)
-        assert bool(((angle < 3.0) & (offset < 0.06)).any())
-    angles = rigid.rotation_angle_rad(found[:, :3, :3]).rad2deg()
-    assert float(angles.min()) > 90.0
-
-
-def test_an_object_without_symmetry_has_none() -> None:
-    points, _ = teapot(4000)
-    assert len(cloud_symmetries(Cloud(points - points.mean(0)))) == 0

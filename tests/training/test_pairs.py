@@ -11,12 +11,12 @@ import pytest
 import torch
 from scipy.spatial import cKDTree
 
-from fullturn.data.motion import move
 from fullturn.data.pair import Pair
 from fullturn.data.procedural import procedural_mesh
 from fullturn.data.shapes import PACK_KEYS
 from fullturn.data.view_pool import ViewPool
 from fullturn.errors import InputError, ReadError
+from fullturn.geometry.motion import move
 from fullturn.normalize import normalized_clouds
 from fullturn.training.batches import Steps, stream
 from fullturn.training.config import DataConfig, ShapesConfig, ValidationConfig

@@ -7,8 +7,9 @@ import json
 
 import numpy as np
 
+from fullturn.geometry.motion import move
 from fullturn.viz.payload import make_payload
-from fullturn.viz.scene import apply, make_scene
+from fullturn.viz.scene import make_scene
 
 
 def decode(block: dict, unit: float) -> np.ndarray:
@@ -50,7 +51,7 @@ def test_views_place_the_source_where_its_pose_does(make_pair, shape):
         view = payload["views"][number]
         R = np.array(view["R"]).reshape(3, 3)
         found = origin + centered @ R.T + unit * np.array(view["t"])
-        np.testing.assert_allclose(found, apply(T, scene.source), atol=tolerance)
+        np.testing.assert_allclose(found, move(T, scene.source), atol=tolerance)
 
 
 def test_the_aligned_pair_fills_the_unit_ball(make_pair, shape):

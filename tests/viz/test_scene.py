@@ -10,8 +10,9 @@ from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
 from fullturn.errors import InputError
+from fullturn.geometry.motion import move
 from fullturn.viz import scene as module
-from fullturn.viz.scene import angle_axis, apply, choose, make_scene, viewing_axes
+from fullturn.viz.scene import angle_axis, choose, make_scene, viewing_axes
 
 
 def test_axes_of_view_are_a_right_handed_frame(make_pair, shape):
@@ -45,9 +46,9 @@ def test_distances_are_those_of_brute_force(make_pair, shape):
     assert len(scene.distances) == 3
     atol = 1e-8 * (1.0 + np.abs(source).max())
     for T, found in zip(poses, scene.distances, strict=True):
-        expected = cdist(apply(T, scene.source), target).min(axis=1)
+        expected = cdist(move(T, scene.source), target).min(axis=1)
         np.testing.assert_allclose(found.source, expected, atol=atol)
-        expected = cdist(scene.target, apply(T, source)).min(axis=1)
+        expected = cdist(scene.target, move(T, source)).min(axis=1)
         np.testing.assert_allclose(found.target, expected, atol=atol)
 
 

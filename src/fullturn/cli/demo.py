@@ -33,6 +33,7 @@ def demo(
     from fullturn.data.scan import scan_pair
     from fullturn.data.sensor import Sensor
     from fullturn.evaluation.metrics import mean_point_distance, rotation_error_deg
+    from fullturn.geometry.motion import move
     from fullturn.io import save_cloud, write_transform
     from fullturn.io.atomic import make_folder
     from fullturn.viz.figures import save_figure
@@ -64,7 +65,7 @@ def demo(
 
     save_cloud(out / "source.ply", pair.source)
     save_cloud(out / "target.ply", pair.target)
-    save_cloud(out / "aligned.ply", pair.source @ T[:3, :3].T + T[:3, 3])
+    save_cloud(out / "aligned.ply", move(T, pair.source))
     write_transform(out / "pose.txt", T)
     write_report(out / "report.html", pair.source, pair.target, result, **names)
     typer.echo(f"Open {out / 'report.html'} in a browser to turn the result around.")

@@ -82,6 +82,7 @@ def locate(
 
     import numpy as np
 
+    from fullturn.geometry.motion import move
     from fullturn.locating.locate import locate as run
 
     ready = _ready(model, prepared)
@@ -97,7 +98,7 @@ def locate(
     if save is not None:
         surface = ready.points()
         poses = [place.T_scene_model for place in result.locations]
-        save_cloud(save, np.concatenate([surface @ T[:3, :3].T + T[:3, 3] for T in poses]))
+        save_cloud(save, np.concatenate([move(T, surface) for T in poses]))
     if json:
         from json import dumps
 
@@ -152,10 +153,10 @@ def _content(result: Located, model: str, scene: str) -> dict[str, Any]:
 
 
 def _print_table(result: Located, model: str, scene: str) -> None:
-    import numpy as np
     from rich.console import Console
 
     from fullturn.cli.render import rotation_deg, titled_rows
+    from fullturn.geometry.motion import invert
     from fullturn.viz.tables import probability
 
     table, row = titled_rows()
@@ -170,7 +171,7 @@ def _print_table(result: Located, model: str, scene: str) -> None:
         row("of the pose", f"{probability(place.success_probability)} that it is the true one")
         row("seen", f"{place.visible_share:.0%} of the model's outside")
         for rank, other in enumerate(place.alternatives, start=1):
-            angle_deg = rotation_deg(np.linalg.inv(T) @ other.T_scene_model)
+            angle_deg = rotation_deg(invert(T) @ other.T_scene_model)
             stated = probability(other.success_probability)
             row(f"alternative {rank}", f"probability {stated}, {angle_deg:.1f}° away")
     for note in result.notes:

@@ -83,6 +83,7 @@ def register(
 
     from fullturn.api import register as run
     from fullturn.cli.render import print_json, print_table
+    from fullturn.geometry.motion import move
 
     result = run(
         source_cloud,
@@ -97,7 +98,7 @@ def register(
     if out is not None:
         write_transform(out, T)
     if save is not None:
-        save_cloud(save, source_cloud.points @ T[:3, :3].T + T[:3, 3])
+        save_cloud(save, move(T, source_cloud.points))
     if report is not None:
         from fullturn.viz.report import write_report
 

@@ -15,6 +15,7 @@ from rich.text import Text
 
 from fullturn.errors import DependencyError
 from fullturn.evaluation.layout import Table
+from fullturn.geometry.motion import invert
 from fullturn.result import Registration
 from fullturn.viz.tables import probability
 
@@ -29,7 +30,7 @@ def print_table(result: Registration, *, source_name: str, target_name: str) -> 
     row("probability", f"{probability(result.success_probability)} that this pose is the true one")
     row("overlap", "{:.0%} of the source, {:.0%} of the target".format(*result.overlap))
     for number, other in enumerate(result.alternatives, start=1):
-        angle_deg = rotation_deg(np.linalg.inv(T) @ other.T_target_source)
+        angle_deg = rotation_deg(invert(T) @ other.T_target_source)
         shares = "{:.0%} and {:.0%}".format(*other.overlap)
         row(
             f"alternative {number}",

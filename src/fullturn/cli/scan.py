@@ -112,7 +112,7 @@ def scan(
 
 def _entry(view: RangeView) -> dict[str, Any]:
     """What poses.json says of a view; lengths in the unit of the mesh, `focal` in pixels."""
-    from fullturn.data.motion import invert
+    from fullturn.geometry.motion import invert
 
     camera = view.camera
     return {

@@ -9,8 +9,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from fullturn.data.motion import invert, rigid, uniform_rotation
+from fullturn.data.motion import uniform_rotation
 from fullturn.errors import InputError
+from fullturn.geometry.motion import invert, rigid
 
 # Within this angle of the object's z axis, a line of sight has no stable "up" along z.
 _POLAR_DEG = 5.0

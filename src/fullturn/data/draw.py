@@ -9,14 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from fullturn.data.motion import (
-    axis_angle_rotation,
-    ball_translation,
-    euler_rotation,
-    invert,
-    move,
-    rigid,
-)
+from fullturn.data.motion import axis_angle_rotation, ball_translation, euler_rotation
 from fullturn.data.mvp_rg import MvpRgConfig
 from fullturn.data.mvp_views import Viewer, in_unit_ball
 from fullturn.data.pair import Pair
@@ -28,6 +21,7 @@ from fullturn.data.scanner import Seen
 from fullturn.data.shapes import MeshSource, ShapeSource
 from fullturn.data.view_pool import ViewPool
 from fullturn.errors import InputError
+from fullturn.geometry.motion import invert, move, rigid
 
 _LATTICES = 4  # of cameras around a shape, each turned anew, before it counts as unfit
 

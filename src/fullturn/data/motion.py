@@ -39,26 +39,3 @@ def ball_translation(rng: np.random.Generator, *, max_length: float) -> Float[np
     """A vector of uniform direction and of length ~ U[0, max]."""
     direction = uniform_direction(rng)
     return rng.uniform(0.0, max_length) * direction
-
-
-def rigid(
-    rotation: Float[np.ndarray, "3 3"], translation: Float[np.ndarray, "3"]
-) -> Float[np.ndarray, "4 4"]:
-    """The 4×4 motion ``x ↦ R·x + t``."""
-    motion = np.eye(4)
-    motion[:3, :3] = rotation
-    motion[:3, 3] = translation
-    return motion
-
-
-def invert(motion: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
-    """The inverse of a rigid motion, [Rᵀ, −Rᵀt]."""
-    rotation = motion[:3, :3].T
-    return rigid(rotation, -rotation @ motion[:3, 3])
-
-
-def move(
-    motion: Float[np.ndarray, "4 4"], points: Float[np.ndarray, "n 3"]
-) -> Float[np.ndarray, "n 3"]:
-    """The points after the motion, ``points @ R.T + t``."""
-    return points @ motion[:3, :3].T + motion[:3, 3]

@@ -9,20 +9,14 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from fullturn.data.motion import (
-    axis_angle_rotation,
-    ball_translation,
-    invert,
-    move,
-    rigid,
-    uniform_rotation,
-)
+from fullturn.data.motion import axis_angle_rotation, ball_translation, uniform_rotation
 from fullturn.data.mvp_rg import SPLITS, MvpRgConfig
 from fullturn.data.mvp_shapes import Shape, schedule, split_shapes
 from fullturn.data.mvp_views import Viewer, in_unit_ball
 from fullturn.data.scanner import Seen
 from fullturn.data.shapes import MeshSource
 from fullturn.errors import FullturnError, InputError
+from fullturn.geometry.motion import invert, move, rigid
 
 NOT_READ, NO_SURFACE = "mesh that cannot be read", "mesh without a usable surface"
 EMPTY_VIEW, APART = "view that shows too little", "object without two views that overlap enough"

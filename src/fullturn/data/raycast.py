@@ -11,8 +11,8 @@ import trimesh
 from jaxtyping import Float, Int
 
 from fullturn.data.camera import Camera, bounding_ball
-from fullturn.data.motion import invert, move
 from fullturn.errors import DependencyError, InputError
+from fullturn.geometry.motion import invert, move
 
 # Work at once: faces whose boxes are found, and pairs of a face and a pixel that are tested.
 _FACES_AT_ONCE = 1 << 17

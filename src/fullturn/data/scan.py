@@ -11,20 +11,14 @@ import trimesh
 from jaxtyping import Float
 
 from fullturn.data.camera import Camera, look_at
-from fullturn.data.motion import (
-    ball_translation,
-    invert,
-    move,
-    rigid,
-    uniform_direction,
-    uniform_rotation,
-)
+from fullturn.data.motion import ball_translation, uniform_direction, uniform_rotation
 from fullturn.data.overlap import scan_overlap
 from fullturn.data.pair import Pair
 from fullturn.data.raycast import mesh_ball
 from fullturn.data.scanner import Scanner, Seen, spread
 from fullturn.data.sensor import Sensor
 from fullturn.errors import InputError
+from fullturn.geometry.motion import invert, move, rigid
 
 # Returns asked for, in numbers of wanted points, so that a choice is left; farthest points need a
 # larger one to spread well.

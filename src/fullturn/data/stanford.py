@@ -12,11 +12,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from fullturn.data.motion import ball_translation, invert, move, rigid, uniform_rotation
+from fullturn.data.motion import ball_translation, uniform_rotation
 from fullturn.data.pair import Pair
 from fullturn.data.pair_set import PairSet
 from fullturn.data.provenance import sha256_of_files
 from fullturn.errors import InputError, ReadError
+from fullturn.geometry.motion import invert, move, rigid
 from fullturn.io.load import load_cloud
 
 OVERLAP_CLASSES = {  # name: least overlap

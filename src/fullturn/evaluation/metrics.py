@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float
 from scipy.spatial import cKDTree
 
 from fullturn.errors import InputError
+from fullturn.geometry.motion import move
 
 SUCCESS_ANGLE_DEG = 5.0
 SUCCESS_SHARE = 0.05  # of the source's radius
@@ -133,7 +134,7 @@ def truncated_distance(
     truncation: float,
 ) -> float:
     """The mean of both one-sided means of min(nearest distance, truncation)."""
-    moved = source @ pose[:3, :3].T + pose[:3, 3]
+    moved = move(pose, source)
     forth, back = (
         # Beyond the bound the tree stops looking and says infinity.
         np.minimum(cKDTree(there).query(here, distance_upper_bound=truncation)[0], truncation)

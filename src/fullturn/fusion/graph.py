@@ -14,6 +14,7 @@ import numpy as np
 
 from fullturn.fusion.edges import Edge
 from fullturn.fusion.posterior import AgreementConfig, Measurement, agree, posterior
+from fullturn.geometry.motion import invert
 
 
 @dataclass(frozen=True)
@@ -117,7 +118,7 @@ class _Graph:
         """What the edges of two scans say of T_i_j."""
         return [
             Measurement(
-                edge.T_target_source if edge.target == i else inverse(edge.T_target_source),
+                edge.T_target_source if edge.target == i else invert(edge.T_target_source),
                 edge.probability,
                 edge.doubt,
             )
@@ -171,7 +172,7 @@ class _Graph:
         probability = np.full(self.count, np.nan)
         poses = self.poses.copy()
         for group in groups:
-            poses[list(group)] = inverse(self.poses[[group[0]]]) @ self.poses[list(group)]
+            poses[list(group)] = invert(self.poses[[group[0]]]) @ self.poses[list(group)]
             for scan in group if len(group) > 1 else ():
                 rest = [s for s in group if s != scan]
                 T, shares, _ = self._relative(rest, [scan], as_new=True)
@@ -256,7 +257,7 @@ class _Graph:
         heard = []
         for i in one:
             for j in sorted(self.neighbors[i].intersection(other)):
-                back = np.eye(4) if as_new else inverse(self.poses[j])
+                back = np.eye(4) if as_new else invert(self.poses[j])
                 for said in self.between(i, j):
                     T = self.poses[i] @ said.T @ back
                     heard.append(Measurement(T, said.probability, said.doubt))
@@ -268,16 +269,6 @@ class _Graph:
         i, j = edge.target, edge.source
         if self.label[i] != self.label[j] or not len(edge.probability):
             return -1
-        now = (inverse(self.poses[i]) @ self.poses[j])[None]
+        now = (invert(self.poses[i]) @ self.poses[j])[None]
         fits = np.flatnonzero(agree(now, edge.T_target_source, np.zeros(3), self.config)[0])
         return int(fits[0]) if len(fits) else -1
-
-
-def inverse(T: np.ndarray) -> np.ndarray:
-    """Inverse rigid motions (..., 4, 4)."""
-    result = np.zeros_like(T)
-    R = np.swapaxes(T[..., :3, :3], -1, -2)
-    result[..., :3, :3] = R
-    result[..., :3, 3] = -np.einsum("...ij,...j->...i", R, T[..., :3, 3])
-    result[..., 3, 3] = 1.0
-    return result

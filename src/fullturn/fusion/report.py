@@ -13,12 +13,13 @@ import numpy as np
 
 from fullturn.fusion.picture import graph_picture
 from fullturn.fusion.result import Fusion
+from fullturn.geometry.motion import move
 from fullturn.io import load_cloud
 from fullturn.io.atomic import write_atomic
 from fullturn.viz import tables
 from fullturn.viz.page import render_page
 from fullturn.viz.payload import encode_points, middle
-from fullturn.viz.scene import apply, thin, viewing_axes
+from fullturn.viz.scene import thin, viewing_axes
 
 _MAX_POINTS = 120_000  # of all scans together: about 1 MB
 _OPEN_DEG = 20.0  # standard deviation from which on a rotation counts as not held
@@ -97,7 +98,7 @@ def _drawn(clouds: Sequence[Any], fusion: Fusion) -> list[np.ndarray]:
     """Some points of each scan in the frame of its group; none of a scan that was left out."""
     most = max(500, _MAX_POINTS // len(fusion.names))
     return [
-        np.zeros((0, 3)) if T is None else apply(T, thin(load_cloud(cloud).points, most))
+        np.zeros((0, 3)) if T is None else move(T, thin(load_cloud(cloud).points, most))
         for cloud, T in zip(clouds, fusion.T_world_scan, strict=True)
     ]
 

@@ -24,10 +24,11 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from fullturn.fusion.edges import Edge
-from fullturn.fusion.graph import GraphConfig, inverse
+from fullturn.fusion.graph import GraphConfig
 from fullturn.fusion.posterior import agree
 from fullturn.fusion.scans import Scan
 from fullturn.fusion.sight import Sights
+from fullturn.geometry.motion import invert, move
 from fullturn.geometry.sampling import point_spacing, voxel_sample
 
 _CELL = 0.07  # of what is looked at, in units of the fusion: about 700 points a scan
@@ -104,7 +105,7 @@ def judge_group(
     poses = T_group_scan.copy()
     poses[found.moved[best]] = found.turns[found.turn[best]] @ poses[found.moved[best]]
     surface = np.concatenate(
-        [eyes.points[scan] @ T[:3, :3].T + T[:3, 3] for scan, T in zip(group, poses, strict=True)]
+        [move(T, eyes.points[scan]) for scan, T in zip(group, poses, strict=True)]
     )
     # A turn of the shape onto itself leaves right what it moves.
     is_same = np.array([_maps_onto_itself(surface, turn) for turn in found.turns])
@@ -133,7 +134,7 @@ def find_rivals(
         return None
     turn, moved, evidence, regret = [], [], [], []
     for number, motion in enumerate(turns):
-        both = agree(motion[None], inverse(motion)[None], T_group_scan[:, :3, 3].mean(0), config)
+        both = agree(motion[None], invert(motion)[None], T_group_scan[:, :3, 3].mean(0), config)
         said = _evidence(inner, place, T_group_scan, motion, config)
         contra = _contradictions(eyes, group, T_group_scan, motion)
         hidden = [eyes.sights[scan].hidden.numpy() for scan in group]
@@ -160,13 +161,13 @@ def _turns(
     motions, shares = [np.zeros((0, 4, 4))], [np.zeros(0)]
     for edge in edges:
         T_i, T_j = (T_group_scan[place[scan]] for scan in (edge.target, edge.source))
-        now = (inverse(T_i) @ T_j)[None]
+        now = (invert(T_i) @ T_j)[None]
         other = ~agree(now, edge.T_target_source, np.zeros(3), config)[0]
-        motions.append(T_i @ edge.T_target_source[other] @ inverse(T_j))
+        motions.append(T_i @ edge.T_target_source[other] @ invert(T_j))
         shares.append(edge.probability[other])
     motion, share = np.concatenate(motions), np.concatenate(shares)
     middle = T_group_scan[:, :3, 3].mean(0)
-    same = agree(motion, motion, middle, config) | agree(motion, inverse(motion), middle, config)
+    same = agree(motion, motion, middle, config) | agree(motion, invert(motion), middle, config)
     kept: list[int] = []
     free = np.ones(len(motion), bool)
     while free.any() and len(kept) < _TURNS:
@@ -277,13 +278,13 @@ def _score(evidence: np.ndarray, regret: np.ndarray) -> np.ndarray:
 
 def _relative(T_i: np.ndarray, T_j: np.ndarray, motion: np.ndarray) -> np.ndarray:
     """T_i_j (3, 4, 4): as it is, the second scan moved, the first one moved."""
-    back = inverse(T_i)
-    return np.stack([back @ T_j, back @ motion @ T_j, back @ inverse(motion) @ T_j])
+    back = invert(T_i)
+    return np.stack([back @ T_j, back @ motion @ T_j, back @ invert(motion) @ T_j])
 
 
 def _maps_onto_itself(points: np.ndarray, motion: np.ndarray) -> bool:
     tree, some = cKDTree(points), points[::_EVERY]
-    away = [tree.query(some @ T[:3, :3].T + T[:3, 3])[0].mean() for T in (motion, inverse(motion))]
+    away = [tree.query(move(T, some))[0].mean() for T in (motion, invert(motion))]
     # Two samples of one surface do not lie on one another.
     gap = tree.query(some, k=2)[0][:, 1].mean()
     size = float(np.linalg.norm(np.ptp(points, axis=0)))

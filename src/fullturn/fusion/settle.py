@@ -11,6 +11,7 @@ from fullturn.fusion.edges import Edge
 from fullturn.fusion.graph import GraphConfig, Placement, placement_at
 from fullturn.fusion.rivals import Eyes, judge_group
 from fullturn.fusion.scans import Scan
+from fullturn.geometry.motion import invert
 
 MOST_SCANS = 16  # of a group: the work grows with the fourth power of them
 _ROUNDS = 3
@@ -55,7 +56,7 @@ def settle_groups(
         changed |= len(parts) > 1 or not moved.isdisjoint(members)
         groups += parts
     for part in groups:
-        poses[part] = np.linalg.inv(poses[part[0]]) @ poses[part]
+        poses[part] = invert(poses[part[0]]) @ poses[part]
     result = placement_at(edges, groups, poses, config) if changed else placement
     probability = result.probability.copy()
     for group in result.groups if eyes is not None else ():

@@ -11,6 +11,7 @@ import numpy as np
 from fullturn.fusion.edges import Edge, Sides
 from fullturn.fusion.merge import merge_clouds
 from fullturn.fusion.scans import Body, Scan
+from fullturn.geometry.motion import invert
 from fullturn.io import LoadedCloud
 
 _CELL = 1.5  # of a group's cloud, in spacings of what is kept of its scans
@@ -69,12 +70,12 @@ def anchored(
         _in_body(T_group_scan[side[0]], body, length, alone=len(side) == 1)
         for side, body in zip(sides, bodies, strict=True)
     )
-    adjoint = _adjoint(np.linalg.inv(T_B_j))
+    adjoint = _adjoint(invert(T_B_j))
     return replace(
         edge,
         target=sides[0][0],
         source=sides[1][0],
-        T_target_source=np.linalg.inv(T_A_i) @ edge.T_target_source @ T_B_j,
+        T_target_source=invert(T_A_i) @ edge.T_target_source @ T_B_j,
         covariance=adjoint @ edge.covariance @ adjoint.T,
         held=sides,
     )

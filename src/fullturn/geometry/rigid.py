@@ -36,13 +36,6 @@ def make(
     return T
 
 
-def compose(
-    T_a_b: Float[Tensor, "*#batch 4 4"], T_b_c: Float[Tensor, "*#batch 4 4"]
-) -> Float[Tensor, "... 4 4"]:
-    """Compose two motions: T_a_c = T_a_b T_b_c."""
-    return T_a_b @ T_b_c
-
-
 def invert(T_a_b: Float[Tensor, "*batch 4 4"]) -> Float[Tensor, "*batch 4 4"]:
     """Invert a rigid motion: T_b_a = [Rᵀ  −Rᵀt; 0 1]."""
     R_b_a = T_a_b[..., :3, :3].mT

@@ -1,4 +1,4 @@
-"""Rotations of an object onto itself: from rival poses, or by registering a cloud to itself."""
+"""Rotations of an object onto itself that would explain rival poses."""
 
 from __future__ import annotations
 
@@ -11,20 +11,12 @@ from jaxtyping import Float
 from torch import Tensor
 
 from fullturn.geometry import rigid
-from fullturn.geometry.cloud import Cloud
-from fullturn.pose.search import find_finalists
-from fullturn.pose.verdict import same_pose
-from fullturn.pose.verify import FEATURES
 
 _SAME_AXIS_DEG = 12.0
 _SAME_ANGLE_DEG = 8.0
 _MAX_ORDER = 8
 _LEAST_ENTRY = 5e-3  # of an axis: smaller ones, which two decimals don't show, decide no sign
 _MANY = 4  # so many angles without a common step mean that any angle will do
-# How far above that of no motion the logarithm of the squared distance may lie.
-_FIT_MARGIN = 0.15
-# Sorting along a direction without meaning spreads both halves of a cloud evenly.
-_SPLIT_DIRECTION = (1.0, 0.7548776662, 0.5698402910)
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,27 +52,6 @@ def symmetry_of_poses(
         return None
     axis, _ = shared[0]
     return CloudSymmetry(axis.numpy(force=True), order)
-
-
-def cloud_symmetries(cloud: Cloud) -> Float[Tensor, "k 4 4"]:
-    """Motions, other than none, that lay a cloud approximately onto itself: best first.
-
-    Every second point is registered to the others, so that no point finds itself. A motion counts
-    when its two-sided distance, truncated at two point spacings, comes close to that of no motion.
-    A partial cloud of a symmetric object has a symmetry only if both sides were seen.
-    """
-    order = torch.argsort(cloud.points @ cloud.points.new_tensor(_SPLIT_DIRECTION), stable=True)
-    one, other = (Cloud(cloud.points[order[part::2]]) for part in (0, 1))
-    still = torch.eye(4, dtype=torch.float64, device=order.device)
-    found = find_finalists(one, other, given=still[None])
-    fit = found.features[:, FEATURES.index("distance_two")]
-    good = fit < fit[0] + _FIT_MARGIN
-    ranked = found.T_target_source[good][torch.argsort(fit[good], stable=True)]
-    kept = [still]
-    for T in ranked:
-        if not same_pose(T[None], torch.stack(kept)).any():
-            kept.append(T)
-    return torch.stack(kept)[1:]
 
 
 def _axis_angle(motion: Tensor) -> tuple[Tensor, float]:

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fullturn.geometry.motion import move
 from fullturn.io.atomic import check_output, write_atomic
 from fullturn.viz.canvas import new_figure
-from fullturn.viz.scene import angle_axis, apply, make_scene, viewing_axes
+from fullturn.viz.scene import angle_axis, make_scene, viewing_axes
 from fullturn.viz.tables import probability
 
 if TYPE_CHECKING:
@@ -86,7 +87,7 @@ def draw_figure(
     from matplotlib.lines import Line2D
 
     scene = make_scene(source_points, target_points, registration, max_points=MAX_POINTS)
-    moved = apply(registration.T_target_source, scene.source)
+    moved = move(registration.T_target_source, scene.source)
     view = viewing_axes(np.concatenate([moved, scene.target]))
     source, target, aligned = (cloud @ view.T for cloud in (scene.source, scene.target, moved))
     distances = np.concatenate([scene.distances[0].source, scene.distances[0].target])

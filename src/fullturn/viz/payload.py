@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fullturn.viz.scene import SPACINGS_TO_FAR, apply, viewing_axes
+from fullturn.geometry.motion import move
+from fullturn.viz.scene import SPACINGS_TO_FAR, viewing_axes
 from fullturn.viz.tables import probability
 
 if TYPE_CHECKING:
@@ -35,7 +36,7 @@ class Frame:
 
     def pose(self, T: NDArray[np.float64]) -> dict[str, Any]:
         """Return the motion of the centered source into the viewer's frame."""
-        t = (apply(T, self.source_center) - self.origin) / self.radius
+        t = (move(T, self.source_center) - self.origin) / self.radius
         return {"R": T[:3, :3].ravel().tolist(), "t": t.tolist()}
 
 
@@ -45,7 +46,7 @@ def make_payload(scene: Scene, registration: Registration) -> dict[str, Any]:
     A cloud's points are ``center + unit · step · int16``; the views give the motions of the
     centered source.
     """
-    union = np.concatenate([apply(registration.T_target_source, scene.source), scene.target])
+    union = np.concatenate([move(registration.T_target_source, scene.source), scene.target])
     origin = middle(union)
     radius = float(np.quantile(np.linalg.norm(union - origin, axis=1), 0.99)) or 1.0
     frame = Frame(origin, radius, middle(scene.source), middle(scene.target))

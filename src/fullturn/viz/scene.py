@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fullturn.errors import InputError
+from fullturn.geometry.motion import invert, move
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -151,17 +152,11 @@ def partner_distance(
     trees: tuple[cKDTree, cKDTree],
 ) -> PartnerDistance:
     """Measure in both directions; the target is moved back, so that no tree is rebuilt."""
-    R, t = T_target_source[:3, :3], T_target_source[:3, 3]
     source, target = drawn
     return PartnerDistance(
-        source=trees[1].query(source @ R.T + t)[0],
-        target=trees[0].query((target - t) @ R)[0],
+        source=trees[1].query(move(T_target_source, source))[0],
+        target=trees[0].query(move(invert(T_target_source), target))[0],
     )
-
-
-def apply(T_target_source: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Move rows of points by a rigid motion: ``points @ R.T + t``."""
-    return points @ T_target_source[:3, :3].T + T_target_source[:3, 3]
 
 
 def viewing_axes(points: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fullturn.geometry.motion import invert
 from fullturn.viz.scene import angle_axis
 
 if TYPE_CHECKING:
@@ -181,7 +182,7 @@ def alternatives(registration: Registration, *, first_view: int, views: int) -> 
         return "<p class='sub'>None: no other pose explains the two scans nearly as well.</p>"
     names = ("", "Probability", "Overlap (source, target)", "Differs from the answer by", "")
     head = "".join(f"<th scope='col'>{name}</th>" for name in names)
-    back = np.linalg.inv(registration.T_target_source)
+    back = invert(registration.T_target_source)
     lines = []
     for i, other in enumerate(registration.alternatives):
         angle, _ = angle_axis(back @ other.T_target_source)

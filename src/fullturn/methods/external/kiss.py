@@ -14,6 +14,7 @@ from jaxtyping import Float
 from scipy.spatial import cKDTree
 
 from fullturn.geometry.cloud import Cloud
+from fullturn.geometry.motion import rigid
 from fullturn.methods.base import Estimate, Method
 from fullturn.methods.external.align import align, thinned
 from fullturn.methods.external.optional import kiss_matcher
@@ -89,9 +90,7 @@ class Kiss(Method):
         clouds = [x.astype(np.float32) for x in (source, target)]
         with _one_cpu():
             found = self.library.KISSMatcher(settings).estimate(*clouds)
-        T_target_source = np.eye(4)
-        T_target_source[:3, :3] = np.reshape(found.rotation, (3, 3))
-        T_target_source[:3, 3] = np.ravel(found.translation)
+        T_target_source = rigid(np.reshape(found.rotation, (3, 3)), np.ravel(found.translation))
         return rigid_or(T_target_source, np.eye(4))
 
 

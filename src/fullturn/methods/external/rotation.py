@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
+from fullturn.geometry.motion import rigid
+
 
 def rigid_or(
     T_target_source: Float[np.ndarray, "4 4"], T_otherwise: Float[np.ndarray, "4 4"]
@@ -16,8 +18,6 @@ def rigid_or(
     for T in (T_target_source, T_otherwise):
         if np.isfinite(T).all():
             left, _, right = np.linalg.svd(T[:3, :3])
-            found = np.eye(4)
-            found[:3, :3] = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
-            found[:3, 3] = T[:3, 3]
-            return found
+            proper = np.diag([1.0, 1.0, np.linalg.det(left @ right)])
+            return rigid(left @ proper @ right, T[:3, 3])
     return np.eye(4)
