@@ -27,13 +27,14 @@ from free_shapes import DATA, free_shapes
 from fullturn.errors import FullturnError
 from fullturn.evaluation.layout import Table, markdown
 from fullturn.evaluation.metrics import expected_calibration_error
+from fullturn.geometry.extent import center_and_radius
 from fullturn.locating.candidates import candidates, grid_of
 from fullturn.locating.judge import same_surface
 from fullturn.locating.model import PreparedModel, prepare
 from fullturn.locating.scene import free_parts, take_apart
 from fullturn.locating.search import LocateConfig
 from fullturn.locating.verify import FEATURES
-from fullturn.normalize import Normalization, center_and_radius
+from fullturn.normalize import Normalization
 from fullturn.pose.grid import NearestGrid
 from fullturn.pose.verdict import VerdictWeights, log_probabilities, same_pose, verdict_inputs
 from locate_scenes import Scene, scene_of

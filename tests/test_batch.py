@@ -32,6 +32,14 @@ class Unsendable:
         raise TypeError("not to be sent")
 
 
+class Broken:
+    """Fails where nobody expects it."""
+
+    @property
+    def points(self) -> np.ndarray:
+        raise RuntimeError("no points today")
+
+
 @pytest.mark.parametrize("workers", [1, 2])
 def test_a_failing_pair_is_its_error_and_stops_no_other(workers: int, tmp_path: Path) -> None:
     save_cloud(tmp_path / "a.ply", CLOUD)
@@ -44,13 +52,14 @@ def test_a_failing_pair_is_its_error_and_stops_no_other(workers: int, tmp_path: 
         (CLOUD,),
         (Unsendable(), CLOUD),
         (CLOUD, None),
+        (Broken(), CLOUD),
         (CLOUD, CLOUD + 1),
     ]
     results = register_many(iter(pairs), method="icp-point", workers=workers)
     kinds = [type(result) for result in results]
     good, bad = Registration, InputError
-    assert kinds == [good, bad, good, ReadError, bad, bad, good, bad, good]
-    assert results[8].T_target_source[0, 3] == pytest.approx(1.0)  # type: ignore[union-attr]
+    assert kinds == [good, bad, good, ReadError, bad, bad, good, bad, FullturnError, good]
+    assert results[9].T_target_source[0, 3] == pytest.approx(1.0)  # type: ignore[union-attr]
 
 
 def test_no_pairs_and_wrong_arguments() -> None:
@@ -58,6 +67,8 @@ def test_no_pairs_and_wrong_arguments() -> None:
     wrong: list[dict[str, Any]] = [
         {"workers": 0},
         {"workers": 1.5},
+        {"workers": 2.0},
+        {"workers": True},
         {"workers": "a"},
         {"method": "x"},
         {"seed": -1},
@@ -214,6 +225,20 @@ def test_a_worker_that_dies_costs_one_pair(tmp_path: Path) -> None:
         "Registration",
     ], err
     assert "exit code -9" in lines[1]
+
+
+def refuse(task: int) -> int:
+    if task == 1:
+        raise ValueError("not this one")
+    return task
+
+
+def test_a_task_that_raises_is_one_error() -> None:
+    results: dict[int, Any] = {}
+    with Crew(refuse, workers=1) as crew:
+        crew.run(range(3), results.__setitem__)
+    assert (results[0], results[2]) == (0, 2)
+    assert str(results[1]) == "unexpected ValueError: not this one"
 
 
 def test_workers_have_one_thread_each(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,12 +7,8 @@ import pytest
 import torch
 
 from fullturn.geometry import rigid
-from fullturn.normalize import (
-    Normalization,
-    center_and_radius,
-    normalization_of,
-    normalized_clouds,
-)
+from fullturn.geometry.extent import center_and_radius
+from fullturn.normalize import Normalization, normalization_of, normalized_clouds
 
 RNG = np.random.default_rng(0)
 

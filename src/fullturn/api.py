@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fullturn.batch import RegistrationInterrupted, check_seed, register_many
+from fullturn.batch import RegistrationInterrupted, register_many
+from fullturn.errors import whole_number
 from fullturn.geometry.cloud import Cloud
 from fullturn.io import LoadedCloud, load_cloud
 from fullturn.io.check import as_viewpoint
@@ -62,7 +63,7 @@ def register(
     """
     begin = time.perf_counter()
     solver = get(method)()
-    rng = np.random.default_rng(check_seed(seed))
+    rng = np.random.default_rng(whole_number(seed, "seed", least=0))
     max_rotation_deg = check_max_rotation(max_rotation_deg, type(solver))
     source_cloud, target_cloud = _load(source, "source"), _load(target, "target")
     source_eye = as_viewpoint(source_viewpoint, "source_viewpoint", frame="cloud's own")

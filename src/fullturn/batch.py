@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import operator
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from functools import partial
 from typing import Any
 
-from fullturn.errors import FullturnError, InputError, one_line
+from fullturn.errors import FullturnError, InputError, whole_number
 from fullturn.io.load import load_cloud
 from fullturn.methods.check import check_max_rotation
 from fullturn.methods.registry import get
 from fullturn.progress import progress_bar
 from fullturn.result import Registration
-from fullturn.workers import Crew, check_workers
+from fullturn.workers import Crew, attempt, check_workers
 
 Outcome = Registration | FullturnError
 
@@ -55,7 +54,7 @@ def register_many(
         RegistrationInterrupted: Ctrl-C; it carries the finished results.
     """
     solver = get(method)()  # says now, and not once per pair, that a package is missing
-    check_seed(seed)
+    whole_number(seed, "seed", least=0)
     check_max_rotation(max_rotation_deg, type(solver))
     if isinstance(pairs, (str, bytes)) or not isinstance(pairs, Iterable):
         raise InputError(
@@ -64,7 +63,7 @@ def register_many(
     most = check_workers(workers)
     todo = list(pairs)
     results: list[Outcome | None] = [None] * len(todo)
-    work = partial(outcome_of, method=method, seed=seed, max_rotation_deg=max_rotation_deg)
+    work = partial(_register_pair, method=method, seed=seed, max_rotation_deg=max_rotation_deg)
     with progress_bar("registering", len(todo), shown=progress) as advance:
 
         def done(number: int, outcome: Outcome) -> None:
@@ -74,7 +73,7 @@ def register_many(
         try:
             if min(most, len(todo)) <= 1:
                 for number, pair in enumerate(todo):
-                    done(number, work(pair))
+                    done(number, attempt(partial(work, pair)))
             else:
                 with Crew(work, workers=min(most, len(todo))) as crew:
                     crew.run(todo, done, portable=_portable)
@@ -83,41 +82,11 @@ def register_many(
     return [result for result in results if result is not None]
 
 
-def check_seed(seed: Any) -> int:
-    """The seed as an int.
-
-    Raises:
-        InputError: not a whole number of at least 0.
-    """
-    try:
-        number = operator.index(seed)
-    except TypeError:
-        number = -1
-    if number < 0 or isinstance(seed, bool):
-        raise InputError(f"seed: expected a whole number of at least 0, got {seed!r:.80}")
-    return number
-
-
-def outcome_of(pair: Any, **options: Any) -> Outcome:
-    """What `register(source, target, **options)` returns, or its error; the one of one pair."""
+def _register_pair(pair: Any, **options: Any) -> Registration:
     from fullturn.api import register
 
-    def work() -> Registration:
-        source, target = _portable(pair)
-        return register(source, target, **options)
-
-    return attempt(work)
-
-
-def attempt(work: Callable[[], Registration]) -> Outcome:
-    """What `work` returns, or whatever it raises as an error of this one pair."""
-    try:
-        return work()
-    except FullturnError as error:
-        return error.with_traceback(None)  # whose frames would keep the clouds in memory
-    # A fault in one pair must not cost the others their results.
-    except Exception as error:
-        return FullturnError(f"unexpected {type(error).__name__}: {one_line(error)}")
+    source, target = _portable(pair)
+    return register(source, target, **options)
 
 
 def _two(pair: Any) -> tuple[Any, Any]:

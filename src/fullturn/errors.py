@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import operator
 from numbers import Real
+from typing import Any
 
 
 class FullturnError(Exception):
@@ -28,6 +30,21 @@ class DependencyError(FullturnError, ImportError):
 def is_number(value: object) -> bool:
     """Whether a caller gave a real number; True and False are none."""
     return isinstance(value, Real) and not isinstance(value, bool)
+
+
+def whole_number(value: Any, name: str, *, least: int) -> int:
+    """The value of an argument that counts something, as an int; NumPy's integers will do.
+
+    Raises:
+        InputError: no whole number, or less than `least`.
+    """
+    try:
+        number = least - 1 if isinstance(value, bool) else operator.index(value)
+    except TypeError:
+        number = least - 1
+    if number < least:
+        raise InputError(f"{name}: expected a whole number of at least {least}, got {value!r:.80}")
+    return number
 
 
 def one_line(text: object) -> str:

@@ -7,10 +7,13 @@ import os
 import signal
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from multiprocessing.connection import Connection, wait
-from typing import Any
+from typing import Any, TypeVar
 
-from fullturn.errors import FullturnError, InputError, is_number, one_line
+from fullturn.errors import FullturnError, InputError, one_line, whole_number
+
+T = TypeVar("T")
 
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 _CANNOT_START = (
@@ -46,8 +49,8 @@ class Crew:
     ) -> None:
         """Call ``done(number, work(task))`` for every task, in the order in which they finish.
 
-        `portable` turns a task into one that pickles. A task whose process dies, or that cannot be
-        sent, gives a FullturnError in place of its result.
+        `portable` turns a task into one that pickles. A task that raises, whose process dies, or
+        that cannot be sent, gives a FullturnError in place of its result.
 
         Raises:
             FullturnError: worker processes cannot start.
@@ -57,12 +60,10 @@ class Crew:
         def feed(worker: _Worker) -> None:
             worker.number = None
             for number, task in waiting:
-                try:
-                    worker.give(number, portable(task))
-                except FullturnError as error:
-                    done(number, error)
-                else:
+                sent = attempt(partial(_Worker.give, worker, number, portable, task))
+                if sent is None:
                     return
+                done(number, sent)
 
         for worker in self._crew.values():
             feed(worker)
@@ -102,9 +103,7 @@ def check_workers(workers: Any) -> int:
         if hasattr(os, "sched_getaffinity"):
             return len(os.sched_getaffinity(0))
         return os.cpu_count() or 1
-    if not is_number(workers) or workers % 1 != 0 or workers < 1:
-        raise InputError(f"workers: expected a whole number of at least 1, got {workers!r}")
-    return int(workers)
+    return whole_number(workers, "workers", least=1)
 
 
 class _Worker:
@@ -132,7 +131,8 @@ class _Worker:
         self.has_started = True
         return answer
 
-    def give(self, number: int, task: Any) -> None:
+    def give(self, number: int, portable: Callable[[Any], Any], task: Any) -> None:
+        task = portable(task)
         try:
             self.pipe.send(task)
         except (BrokenPipeError, ConnectionError):
@@ -167,7 +167,18 @@ def _serve(pipe: Connection, work: Callable[[Any], Any]) -> None:
             task = pipe.recv()
         except (EOFError, BrokenPipeError):
             return  # the parent is gone, or has let go
-        answer = work(task)
+        answer = attempt(partial(work, task))
+
+
+def attempt(work: Callable[[], T]) -> T | FullturnError:
+    """What `work` returns, or whatever it raises as an error of this one task."""
+    try:
+        return work()
+    except FullturnError as error:
+        return error.with_traceback(None)  # whose frames would keep the clouds in memory
+    # A fault in one task must not cost the others their results.
+    except Exception as error:
+        return FullturnError(f"unexpected {type(error).__name__}: {one_line(error)}")
 
 
 @contextmanager

@@ -40,7 +40,7 @@ def call(*arguments: object) -> tuple[int, str, str]:
 def test_outputs_one_json_object_and_the_prepared_file(
     files: tuple[Path, Path], tmp_path: Path
 ) -> None:
-    prepared, out, save = (tmp_path / name for name in ("p.safetensors", "T.txt", "m.ply"))
+    prepared, out, save = (tmp_path / name for name in ("p.safetensors", "T.json", "m.ply"))
     options = ["--prepared", prepared, "--viewpoint", "7,8,8", "--json"]
     code, text, _ = call(*files, *options, "--out", out, "--save", save)
     assert code == 0
@@ -53,8 +53,8 @@ def test_outputs_one_json_object_and_the_prepared_file(
     np.testing.assert_array_equal(read_transform(out), T)
     assert len(load_cloud(save).points) > 1000
     # The prepared file is read the second time, and is a model of its own.
-    for model in (files[0], prepared):
-        code, text, _ = call(model, files[1], *options)
+    for model, told in ((files[0], options), (prepared, options[2:])):
+        code, text, _ = call(model, files[1], *told)
         assert code == 0
         np.testing.assert_array_equal(json.loads(text)["T_scene_model"], T)
     code, _, err = call(files[1], files[1], *options)
@@ -81,6 +81,7 @@ def test_people_get_a_table_and_a_low_probability_exits_with_3(
         (["none.ply", "{scene}"], 1, "there is none"),
         (["{model}", "{scene}", "--out", "T.png"], 1, ".txt, .json"),
         (["{model}", "{scene}", "--prepared", "p.npz"], 1, ".safetensors"),
+        (["m.safetensors", "{scene}", "--prepared", "p.safetensors"], 2, "prepared one itself"),
         (["{model}", "{scene}", "--viewpoint", "1,2"], 2, "three numbers"),
         (["{model}", "{scene}", "--min-probability", "nan"], 2, "min-probability"),
     ],

@@ -221,6 +221,12 @@ def test_other_units_and_densities_are_said() -> None:
     assert any("point spacing" in note for note in notes)
 
 
+def test_a_scan_in_another_unit_stops_nothing(exact: Exact) -> None:
+    clouds, _ = scans_of(shape(), 3)
+    fusion = fullturn.fuse([*clouds, 1e-3 * shape(3), 1e3 * shape(4)])
+    assert fusion.groups[0] == (0, 1, 2)
+
+
 def test_copies_of_one_point_do_not_shrink_a_scan() -> None:
     cloud = shape(count=300)
     copies = np.repeat(cloud[:1], 40_000, axis=0)

@@ -32,6 +32,16 @@ def test_one_edge_gives_back_its_probabilities() -> None:
     assert none == pytest.approx(0.1, abs=0.02)
 
 
+def test_poses_that_are_impossible_say_nothing() -> None:
+    rng = np.random.default_rng(4)
+    truth = random_poses(3, rng)
+    sure = edge(0, 1, [between(truth, 0, 1), random_pose(rng)], [0.9, 0.0])
+    out = [edge(i, 2, [random_pose(rng)], [0.0]) for i in (0, 1)]
+    placement = place_scans(3, [sure, *out], GraphConfig())
+    assert placement.groups == ((0, 1), (2,))
+    check_poses(placement, truth, deg=1e-6, shift=1e-9)
+
+
 def test_edges_that_agree_raise_each_other_and_contradiction_lowers() -> None:
     rng = np.random.default_rng(1)
     T, other = random_pose(rng)[None], random_pose(rng)[None]

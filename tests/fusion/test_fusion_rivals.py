@@ -93,7 +93,8 @@ def test_the_rest_of_a_surface_contradicts_no_likely_place_but_a_screen_does(
 @pytest.mark.parametrize("seed", range(3))
 def test_scans_that_the_edges_turned_are_turned_back(seed: int) -> None:
     scans, truth, turned, edges = case(0.5, seed)
-    group, eyes = range(len(scans)), Eyes(scans, 1.0)
+    group = range(len(scans))
+    eyes = Eyes(scans, group, 1.0)
     judged = judge_group(eyes, group, turned, edges, GraphConfig())
     assert judged is not None
     assert judged.is_moved
@@ -109,9 +110,19 @@ def test_scans_that_the_edges_turned_are_turned_back(seed: int) -> None:
     np.testing.assert_allclose(np.diag(stays.together), 1.0)
 
 
+def test_a_scan_smaller_than_a_cell_stays_with_the_others() -> None:
+    scans, truth, _, edges = case(0.5, 0)
+    (patch, _), _ = check_scans([scans[0].points()[:12] * 1e-3, scans[1].points()])
+    group = range(len(scans))
+    judged = judge_group(Eyes([patch, *scans[1:]], group, 1.0), group, truth, edges, GraphConfig())
+    assert judged is not None
+    assert judged.together.shape == (len(scans), len(scans))
+
+
 def test_turns_of_a_symmetric_shape_part_nothing() -> None:
     scans, truth, _, edges = case(0.0, 0)
-    judged = judge_group(Eyes(scans, 1.0), range(len(scans)), truth, edges, GraphConfig())
+    group = range(len(scans))
+    judged = judge_group(Eyes(scans, group, 1.0), group, truth, edges, GraphConfig())
     assert judged is not None
     np.testing.assert_allclose(judged.together, 1.0, atol=1e-9)
 
@@ -119,8 +130,8 @@ def test_turns_of_a_symmetric_shape_part_nothing() -> None:
 def test_without_other_poses_there_are_no_rivals() -> None:
     scans, truth, _, edges = case(0.5, 1)
     sure = [edge(e.target, e.source, [between(truth, e.target, e.source)], [0.9]) for e in edges]
-    eyes = Eyes(scans, 1.0)
-    assert judge_group(eyes, range(len(scans)), truth, sure, GraphConfig()) is None
+    group = range(len(scans))
+    assert judge_group(Eyes(scans, group, 1.0), group, truth, sure, GraphConfig()) is None
 
 
 def test_settled_groups_are_right_and_others_stay_as_they_were() -> None:

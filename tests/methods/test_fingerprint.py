@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import importlib
 import os
 import subprocess
 import sys
@@ -38,6 +39,27 @@ def test_the_closure_is_what_the_answer_depends_on() -> None:
     assert not {name for name in names if name.startswith(("cli", "viz", "evaluation", "data"))}
     assert "methods/classical/icp.py" not in names
     assert {"torch", "numpy", "small_gicp"} <= packages
+
+
+def test_what_a_module_imports_beside_it_counts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    home = tmp_path / "outer_of_mine" / "inner"
+    home.mkdir(parents=True)
+    for folder in (home, home.parent):
+        (folder / "__init__.py").touch()
+    (home / "mine.py").write_text(
+        "from . import beside\nfrom ..above import GAIN\n" + OWN.format(answer="1")
+    )
+    for helper in (home / "beside.py", home.parent / "above.py"):
+        helper.write_text("GAIN = 1\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    method = importlib.import_module("outer_of_mine.inner.mine").Own
+    seen = [fingerprint(method)[0]]
+    for helper in (home / "beside.py", home.parent / "above.py"):
+        helper.write_text("GAIN = 2\n")
+        seen.append(fingerprint(method)[0])
+    assert len(set(seen)) == 3
 
 
 @pytest.mark.parametrize("name", ["verdict.safetensors", "evidence.safetensors", "api.py"])

@@ -12,10 +12,12 @@ from torch import Tensor
 
 from fullturn.errors import FullturnError
 from fullturn.geometry import rigid
+from fullturn.geometry.cloud import Cloud
 from fullturn.pose import verdict
 from fullturn.pose.verdict import (
     VerdictWeights,
     judge,
+    limited,
     load_weights,
     log_probabilities,
     log_rotation_prior,
@@ -215,3 +217,16 @@ def test_the_shipped_weights_fit_the_features() -> None:
 def test_weights_for_other_features_are_refused(name: str) -> None:
     with pytest.raises(FullturnError, match=rf"expected weights fit to the 2 .*fit_{name}.py"):
         load_weights(f"{name}.safetensors", ("distance", "gravity"))
+
+
+def test_a_cloud_of_copies_has_the_size_of_what_they_are_copies_of() -> None:
+    corners = torch.cat([torch.eye(3), -torch.eye(3)]).double()
+    crowded = Cloud(torch.cat([corners, torch.zeros(1000, 3).double()]))
+    probability = torch.tensor([0.6, 0.3]).double()
+    for pair in ((crowded, Cloud(corners.repeat(3, 1))), (Cloud(corners.repeat(3, 1)), crowded)):
+        found, notes = limited(probability, *pair)
+        assert not notes
+        torch.testing.assert_close(found, probability)
+    found, notes = limited(probability, crowded, Cloud(100 * corners.repeat(3, 1)))
+    assert "times as large" in notes[0]
+    assert float(found.sum()) == pytest.approx(0.2)

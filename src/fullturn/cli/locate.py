@@ -62,6 +62,8 @@ def locate(
     """
     eye = parse_viewpoint(viewpoint, "--viewpoint")
     check_minimum(min_probability)
+    if prepared is not None and model.suffix.lower() == ".safetensors":
+        raise typer.BadParameter("MODEL is a prepared one itself", param_hint="'--prepared'")
 
     from fullturn.cli.outputs import check_outputs
     from fullturn.io.atomic import check_path
@@ -112,10 +114,11 @@ def _ready(model: Path, prepared: Path | None) -> PreparedModel:
     from fullturn.locating.model import prepare
     from fullturn.locating.store import SUFFIX, load_prepared
 
-    is_prepared = model.suffix.lower() == SUFFIX
-    if prepared is not None and prepared.exists() and not is_prepared:
+    if model.suffix.lower() == SUFFIX:
+        return load_prepared(model)
+    if prepared is not None and prepared.exists():
         return load_prepared(prepared, model=model)
-    ready = load_prepared(model) if is_prepared else prepare(model)
+    ready = prepare(model)
     if prepared is not None:
         ready.save(prepared)
     return ready

@@ -8,13 +8,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from fullturn.batch import check_seed
 from fullturn.cluster.client import check_installed, connected
 from fullturn.cluster.flight import Flight
 from fullturn.cluster.pairs import read_pairs
 from fullturn.cluster.store import Store, Tally
 from fullturn.cluster.work import make_job
-from fullturn.errors import InputError
+from fullturn.errors import whole_number
 from fullturn.methods.registry import get
 from fullturn.progress import progress_bar
 from fullturn.workers import check_workers
@@ -65,7 +64,8 @@ def run_batch(
     """
     begin = time.perf_counter()
     check_installed()
-    seed, most, part_size = check_seed(seed), check_workers(workers), _check_size(part_size)
+    seed, most = whole_number(seed, "seed", least=0), check_workers(workers)
+    part_size = whole_number(part_size, "part_size", least=1)
     method = _from_anywhere(method)
     table = read_pairs(pairs, method=get(method))
     for name in filter(None, table.unused):
@@ -97,12 +97,6 @@ def run_batch(
         found=found,
         seconds=time.perf_counter() - begin,
     )
-
-
-def _check_size(part_size: int) -> int:
-    if isinstance(part_size, bool) or not isinstance(part_size, int) or part_size < 1:
-        raise InputError(f"part_size: expected a whole number of at least 1, got {part_size!r:.80}")
-    return part_size
 
 
 def _from_anywhere(method: str) -> str:

@@ -7,17 +7,19 @@ import threading
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import torch
 
 import fullturn
-from fullturn.batch import Outcome, outcome_of
+from fullturn.api import register
+from fullturn.batch import Outcome
 from fullturn.cluster.pairs import PairRow
 from fullturn.errors import FullturnError, InputError, one_line
 from fullturn.methods.fingerprint import REGISTER, fingerprint
 from fullturn.methods.registry import get
+from fullturn.workers import attempt
 
 # Of a worker's threads, one imports a method's own file; no other may find it half run.
 _FIRST = threading.Lock()
@@ -101,13 +103,17 @@ def _result(row: PairRow, job: Job) -> dict[str, Any]:
 def _outcome(row: PairRow, job: Job) -> Outcome:
     source, target = (os.path.join(job.folder, path) for path in (row.source, row.target))
     try:
-        return outcome_of(
-            (source, target),
-            method=job.method,
-            seed=job.seed,
-            source_viewpoint=row.source_viewpoint,
-            target_viewpoint=row.target_viewpoint,
-            max_rotation_deg=row.max_rotation_deg,
+        return attempt(
+            partial(
+                register,
+                source,
+                target,
+                method=job.method,
+                seed=job.seed,
+                source_viewpoint=row.source_viewpoint,
+                target_viewpoint=row.target_viewpoint,
+                max_rotation_deg=row.max_rotation_deg,
+            )
         )
     except SystemExit as error:  # which would end the worker
         return FullturnError(f"unexpected SystemExit: {one_line(error)}")

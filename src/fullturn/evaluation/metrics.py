@@ -115,9 +115,10 @@ def pose_success(
     true: Float[np.ndarray, "4 4"],
     source: Float[np.ndarray, "n 3"],
 ) -> bool:
-    """Within 5° and 5 % of the source's radius: what `success_probability` speaks of.
+    """Within 5° and 5 % of the source's radius.
 
-    The offset is that of the source's mean, so that the frame's origin does not matter.
+    The offset is that of the source's mean, so that the frame's origin does not matter. What
+    `success_probability` speaks of is the same but for the radius, that of the larger cloud.
     """
     offset = point_distances(found, true, source.mean(axis=0, keepdims=True))[0]
     return bool(

@@ -12,7 +12,6 @@ import numpy as np
 
 import fullturn
 from fullturn.api import register
-from fullturn.batch import Outcome, attempt
 from fullturn.errors import FullturnError, one_line
 from fullturn.fusion.cache import EdgeCache
 from fullturn.fusion.scans import Body
@@ -20,7 +19,7 @@ from fullturn.io import LoadedCloud
 from fullturn.methods.fingerprint import REGISTER, fingerprint
 from fullturn.methods.registry import get
 from fullturn.result import Registration
-from fullturn.workers import Crew
+from fullturn.workers import Crew, attempt
 
 Pair = tuple[int, int]  # target and source, places in the list of usable scans
 Sides = tuple[tuple[int, ...], tuple[int, ...]]  # the scans that were registered as one cloud each
@@ -74,7 +73,8 @@ def failed_edge(target: int, source: int, error: object) -> Edge:
 
 def pair_key(method: str, seed: int, length: float) -> Callable[[Body, Body], str]:
     """What an edge depends on, hashed: both clouds, the method's code, seed and unit."""
-    code, _ = fingerprint(get(method), roots=REGISTER)
+    # Clouds of whole groups are made from their scans by code of their own.
+    code, _ = fingerprint(get(method), roots=(*REGISTER, "fullturn.fusion.whole"))
     settings = f"{fullturn.__version__} {code} {seed} {length!r}"
 
     def key(target: Body, source: Body) -> str:
@@ -133,7 +133,7 @@ class Registrar:
 
         if self._crew is None or len(tasks) < 2:
             for place, task in enumerate(tasks):
-                done(place, self._work(task))
+                done(place, attempt(partial(self._work, task)))
         else:
             self._crew.run(tasks, done, portable=_portable)
         return [edge for edge in edges if edge is not None]
@@ -152,24 +152,20 @@ def _portable(task: tuple[Body, Body, float]) -> tuple[Body, Body, float]:
     return bare[0], bare[1], length
 
 
-def _registered(task: tuple[Body, Body, float], *, method: str, seed: int) -> Outcome:
+def _registered(task: tuple[Body, Body, float], *, method: str, seed: int) -> Registration:
     target, source, length = task
     eyes = {
         f"{role}_viewpoint": (body.viewpoint - body.center) / length
         for role, body in (("source", source), ("target", target))
         if body.viewpoint is not None
     }
-
-    def work() -> Registration:
-        return register(
-            LoadedCloud(source.points() / length, name="source"),
-            LoadedCloud(target.points() / length, name="target"),
-            method=method,
-            seed=seed,
-            **eyes,
-        )
-
-    return attempt(work)
+    return register(
+        LoadedCloud(source.points() / length, name="source"),
+        LoadedCloud(target.points() / length, name="target"),
+        method=method,
+        seed=seed,
+        **eyes,
+    )
 
 
 def _fields(edge: Edge) -> dict[str, Any]:

@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from fullturn.batch import check_seed
-from fullturn.errors import InputError, is_number
+from fullturn.errors import InputError, is_number, whole_number
 from fullturn.fusion.cache import EdgeCache
 from fullturn.fusion.connect import connect_groups, connect_scans, refine_groups
 from fullturn.fusion.edges import Edge, Registrar
@@ -61,7 +60,7 @@ def fuse(
     """
     begin = time.perf_counter()
     gtsam()  # says now, and not after the work, that a package is missing
-    check_seed(seed)
+    whole_number(seed, "seed", least=0)
     name = get(method)().name
     workers = check_workers(workers)
     if not is_number(min_probability) or not 0.0 < min_probability <= 1.0:

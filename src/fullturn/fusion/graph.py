@@ -79,10 +79,10 @@ def placement_at(
 
 
 def _pool(edges: Sequence[Edge]) -> dict[frozenset[int], list[Edge]]:
-    """The edges that state poses, by the two scans that they connect."""
+    """The edges that state probable poses, by the two scans that they connect."""
     pool: dict[frozenset[int], list[Edge]] = {}
     for edge in edges:
-        if len(edge.probability):
+        if edge.probability.any():
             pool.setdefault(frozenset((edge.target, edge.source)), []).append(edge)
     return pool
 

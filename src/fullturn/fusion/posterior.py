@@ -42,6 +42,8 @@ def posterior(
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """Distinct relative poses (h, 4, 4) with their probabilities (h,), best first, and none's.
 
+    Some pose must have a probability above 0.
+
     Poses agree within the tolerances, the shift taken at the point `at` (3,); each one that is
     returned is the mean of those that agree with it.
     """
@@ -49,7 +51,8 @@ def posterior(
     p = np.concatenate([m.probability for m in measurements])
     starts = np.cumsum([0, *(len(m.T) for m in measurements[:-1])])
     doubt = np.log([max(m.doubt, config.least_doubt) for m in measurements])
-    hypotheses = T[np.argsort(-p, kind="stable")[:_MOST_HYPOTHESES]]
+    order = np.argsort(-p, kind="stable")[:_MOST_HYPOTHESES]
+    hypotheses = T[order[p[order] > 0]]
     agreeing = agree(hypotheses, T, at, config) * p / config.chance
     spoken = np.add.reduceat(agreeing, starts, axis=1) + np.exp(doubt)
     weight = np.log(spoken).sum(1) + np.log(config.chance)

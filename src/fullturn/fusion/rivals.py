@@ -66,22 +66,28 @@ class Judgment:
 
 
 class Eyes:
-    """The scans as their sensors see them, made once a fusion."""
+    """The scans of a group as their sensors see them, by their places among all scans."""
 
-    def __init__(self, scans: Sequence[Scan], length: float) -> None:
-        thinned = [voxel_sample(scan.sample / length, _CELL)[0].float() for scan in scans]
-        spacing = max(point_spacing(points.double()) for points in thinned)
-        self.points = [points.double().numpy() for points in thinned]
-        self.sights = [
-            Sights(
+    def __init__(self, scans: Sequence[Scan], group: Sequence[int], length: float) -> None:
+        thinned = {
+            number: voxel_sample(scans[number].sample / length, _CELL)[0].float()
+            for number in group
+        }
+        spacing = max(
+            (point_spacing(points.double()) for points in thinned.values() if len(points) > 1),
+            default=_CELL,
+        )
+        self.points = {number: points.double().numpy() for number, points in thinned.items()}
+        self.sights = {
+            number: Sights(
                 points,
                 spacing=spacing,
                 viewpoint=None
-                if scan.viewpoint is None
-                else torch.from_numpy((scan.viewpoint - scan.center) / length),
+                if scans[number].viewpoint is None
+                else torch.from_numpy((scans[number].viewpoint - scans[number].center) / length),
             )
-            for points, scan in zip(thinned, scans, strict=True)
-        ]
+            for number, points in thinned.items()
+        }
 
 
 def judge_group(

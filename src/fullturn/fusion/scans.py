@@ -16,9 +16,9 @@ from torch import Tensor
 
 from fullturn.errors import FullturnError, InputError, one_line
 from fullturn.geometry.cloud import Cloud
+from fullturn.geometry.extent import center_and_radius
 from fullturn.io import LoadedCloud, load_cloud
 from fullturn.io.check import as_viewpoint
-from fullturn.normalize import center_and_radius
 
 _SAMPLE_POINTS = 4_000  # per scan, for the joint refinement
 _UNLIKE_SIZE, _UNLIKE_SPACING = 10.0, 10.0

@@ -32,18 +32,18 @@ def settle_groups(
     are the refined ones. What is sure of one another stays together; a scan's probability is at
     most the mean of its own to the rest.
     """
-    eyes: Eyes | None = None
     poses, groups, changed = T_group_scan.copy(), [], False
     together = np.ones((len(scans), len(scans)))
     moved: set[int] = set()
     for group in placement.groups:
         members = list(group)
-        parts = [members]
         # Where all viewpoints are known, each pair has been judged by them: nothing is left to say.
         is_told = all(scans[scan].viewpoint is not None for scan in group)
-        is_judged = 3 <= len(group) <= MOST_SCANS and not is_told
-        for _ in range(_ROUNDS if is_judged else 0):
-            eyes = eyes or Eyes(scans, length)
+        if is_told or not 3 <= len(group) <= MOST_SCANS:
+            groups.append(members)
+            continue
+        eyes, parts = Eyes(scans, members, length), [members]
+        for _ in range(_ROUNDS):
             judged = judge_group(eyes, group, poses[members], edges, config)
             if judged is None:
                 break
@@ -59,7 +59,7 @@ def settle_groups(
         poses[part] = invert(poses[part[0]]) @ poses[part]
     result = placement_at(edges, groups, poses, config) if changed else placement
     probability = result.probability.copy()
-    for group in result.groups if eyes is not None else ():
+    for group in result.groups:
         for scan in group if len(group) > 1 else ():
             sure = float(np.mean([together[scan, other] for other in group if other != scan]))
             probability[scan] = sure if scan in moved else min(probability[scan], sure)

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from fullturn.errors import InputError, ReadError, one_line
+from fullturn.errors import InputError, ReadError, one_line, whole_number
 from fullturn.io.arrays import read_npy, read_npz
 from fullturn.io.check import as_points, check_pose, check_shape, precision_of
 from fullturn.io.mesh import read_mesh, sample_surface
@@ -69,8 +69,7 @@ def load_cloud(
         InputError: an object of another type, shape or dtype; points that determine no pose.
         ReadError: a file that is missing, unreadable, truncated, mislabeled or of unknown kind.
     """
-    if isinstance(samples, bool) or not isinstance(samples, int) or samples < 3:
-        raise InputError(f"samples: expected a whole number of at least 3, got {samples!r}")
+    samples = whole_number(samples, "samples", least=3)
     if isinstance(path_or_object, LoadedCloud):
         label = name or path_or_object.name
         points = as_points(path_or_object.points, label)

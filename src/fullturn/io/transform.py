@@ -13,6 +13,7 @@ from fullturn.errors import InputError, ReadError, one_line
 from fullturn.io.atomic import check_output, write_atomic
 
 TRANSFORM_SUFFIXES = (".txt", ".json")
+_KEYS = ("T_target_source", "T_scene_model")  # of what `register` and `locate` write
 
 
 def write_transform(
@@ -37,7 +38,7 @@ def write_transform(
 
 
 def read_transform(path: str | os.PathLike[str]) -> np.ndarray:
-    """Read a 4×4 transform from text or from JSON with a `T_target_source`.
+    """Read a 4×4 transform from text, or from JSON with a `T_target_source` or a `T_scene_model`.
 
     Raises:
         ReadError: missing or unreadable, or not a finite 4×4 matrix.
@@ -46,14 +47,15 @@ def read_transform(path: str | os.PathLike[str]) -> np.ndarray:
     try:
         text = Path(path).read_text(encoding="utf-8")
         if Path(path).suffix.lower() == ".json":
-            return _checked(json.loads(text)["T_target_source"])
+            content = json.loads(text)
+            return _checked(content[next(key for key in _KEYS if key in content)])
         return _checked([[float(x) for x in row.split()] for row in text.strip().splitlines()])
     except OSError as error:
         raise ReadError(f"{name}: cannot be read ({error.strerror}); check the path") from error
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, StopIteration, TypeError) as error:
         raise ReadError(
             f"{name}: expected a 4×4 matrix as four lines of text, or JSON with "
-            f"T_target_source; found a problem with {one_line(error)[:120]}"
+            f"{' or '.join(_KEYS)}; found a problem with {one_line(error)[:120]}"
         ) from error
 
 

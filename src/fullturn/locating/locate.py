@@ -12,8 +12,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from fullturn.errors import InputError, is_number
+from fullturn.errors import InputError, is_number, whole_number
 from fullturn.geometry import rigid
+from fullturn.geometry.extent import center_and_radius
 from fullturn.io import LoadedCloud, load_cloud
 from fullturn.io.check import as_viewpoint
 from fullturn.locating.candidates import Candidates, candidates, grid_of
@@ -23,7 +24,7 @@ from fullturn.locating.result import Located, Location, OtherPose
 from fullturn.locating.scene import SceneParts, free_parts, take_apart
 from fullturn.locating.search import LocateConfig
 from fullturn.locating.store import SUFFIX, load_prepared
-from fullturn.normalize import Normalization, center_and_radius
+from fullturn.normalize import Normalization
 from fullturn.pose.grid import NearestGrid
 from fullturn.threads import torch_threads
 
@@ -64,7 +65,9 @@ def locate(
         ReadError: a file that cannot be read.
     """
     begin = time.perf_counter()
-    _check_instances(instances, min_probability)
+    most = None if instances is None else whole_number(instances, "instances", least=1)
+    if not is_number(min_probability) or not 0.0 <= min_probability <= 1.0:
+        raise InputError(f"min_probability: expected a number from 0 to 1, got {min_probability!r}")
     eye = as_viewpoint(scene_viewpoint, "scene_viewpoint", frame="scene's")
     cloud = load_cloud(scene, name=_role(scene))
     loaded = time.perf_counter()
@@ -84,7 +87,7 @@ def locate(
         if found and place.judged.surface[0] < min_probability:
             break
         found.append(_location(place, frame))
-        if instances is not None and len(found) == instances:
+        if len(found) == most:
             break
     if not found:
         raise InputError(
@@ -193,14 +196,6 @@ def _prepared(model: Any) -> PreparedModel:
 
 def _role(scene: Any) -> str | None:
     return None if isinstance(scene, (str, os.PathLike, LoadedCloud)) else "scene"
-
-
-def _check_instances(instances: int | None, min_probability: float) -> None:
-    is_count = isinstance(instances, int) and not isinstance(instances, bool) and instances >= 1
-    if instances is not None and not is_count:
-        raise InputError(f"instances: expected a whole number of at least 1, got {instances!r}")
-    if not is_number(min_probability) or not 0.0 <= min_probability <= 1.0:
-        raise InputError(f"min_probability: expected a number from 0 to 1, got {min_probability!r}")
 
 
 def _size_notes(points: Tensor, model: PreparedModel) -> tuple[str, ...]:

@@ -60,7 +60,7 @@ def find_poses(
     h = level.spacing
     few = _Sampled(part, model, model_grid, config.scored_points)
     kept = hypotheses.distinct(
-        hypotheses.pose_coordinates(T, described.points),
+        hypotheses.pose_coordinates(T, model.surface),
         few.score(T, truncation=2 * h),
         radius=config.mode_radius * h,
         limit=config.modes,

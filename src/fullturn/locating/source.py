@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from fullturn.geometry.extent import center_and_radius, far_from_the_rest
 from fullturn.io import load_cloud
 from fullturn.io.mesh import read_mesh
 from fullturn.io.ply import read_ply
-from fullturn.normalize import center_and_radius, far_from_the_rest
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,6 +18,7 @@ _PACKAGE = "fullturn"
 
 
 ESTIMATE = ("fullturn.normalize",)  # between a pair and the poses that a method finds
+_TELLING = ("fullturn.evaluation.predict", "fullturn.methods.check")  # not what they import
 REGISTER = ("fullturn.api",)  # … and all that `register` says of them
 
 
@@ -32,6 +33,7 @@ def fingerprint(
     """
     files, packages = _closure(method, roots)
     files |= set(method.files)
+    files |= {file for name in _TELLING for file in _module_file(name)}
     packages |= set(method.needs)  # imported by name, when the method is made
     # By name and content: where the files lie, and in which order a set holds them, is nothing.
     lines = sorted(f"{path.name} {hashlib.sha256(path.read_bytes()).hexdigest()}" for path in files)
@@ -55,7 +57,7 @@ def _closure(method: type[Method], roots: Sequence[str]) -> tuple[set[Path], set
         files.add(path)
         source = path.read_text(encoding="utf-8")
         files |= {one for one in weights if one.name in source}
-        for name in _imports(ast.parse(source)):
+        for name in _imports(ast.parse(source), _package_of(path)):
             top = name.partition(".")[0]
             if top in ours:
                 waiting += _module_file(name)
@@ -64,17 +66,32 @@ def _closure(method: type[Method], roots: Sequence[str]) -> tuple[set[Path], set
     return files, packages
 
 
-def _imports(tree: ast.AST) -> Iterator[str]:
-    """Every name that may be a module: ``from a import b`` gives a and a.b."""
+def _package_of(path: Path) -> list[str]:
+    """The names from the outermost package down to that of a module."""
+    names: list[str] = []
+    for folder in path.parents:
+        if not (folder / "__init__.py").exists():
+            break
+        names.insert(0, folder.name)
+    return names
+
+
+def _imports(tree: ast.AST, package: Sequence[str]) -> Iterator[str]:
+    """Every name that may be a module: ``from a import b`` gives a and a.b.
+
+    `package` is where relative imports start.
+    """
     if isinstance(tree, ast.If) and getattr(tree.test, "id", None) == "TYPE_CHECKING":
         return
     if isinstance(tree, ast.Import):
         yield from (alias.name for alias in tree.names)
-    elif isinstance(tree, ast.ImportFrom) and tree.module and not tree.level:
-        yield tree.module
-        yield from (f"{tree.module}.{alias.name}" for alias in tree.names)
+    elif isinstance(tree, ast.ImportFrom):
+        start = package[: len(package) + 1 - tree.level] if tree.level else []
+        name = ".".join([*start, *filter(None, [tree.module])])
+        yield name
+        yield from (f"{name}.{alias.name}" for alias in tree.names)
     for node in ast.iter_child_nodes(tree):
-        yield from _imports(node)
+        yield from _imports(node, package)
 
 
 def _module_file(name: str) -> list[Path]:

@@ -19,7 +19,8 @@ _MUTUAL_INDEPENDENT, _MUTUAL_SAME = 0.54, 0.66
 _LEAST_POINT_SHARE = 0.01
 # Rounds begin with about so many points of each cloud, as long as steps are longer than this share
 # of the noise; the pose has settled when they are shorter than the second.
-_FIRST_POINTS = 300
+_FIRST_POINTS, _FIRST_ROUNDS = 300, 20
+_ROUNDS = 30  # most settle in ten; along smooth surfaces, steps stay short
 _NEAR, _SETTLED = 0.1, 0.02
 
 
@@ -42,7 +43,6 @@ def refine_fine(
     target: Cloud,
     *,
     start: float,
-    rounds: int = 20,
 ) -> Float[Tensor, "4 4"]:
     """The pose at the optimum next to the given one; `start` is the first search distance.
 
@@ -53,18 +53,17 @@ def refine_fine(
     """
     T = T_target_source
     cutoff = start
-    every = max(1, min(len(source.sample), len(target.sample)) // _FIRST_POINTS)
-    for _ in range(rounds):
-        residuals = measure_residuals(T, source, target, cutoff=cutoff, every=every)
-        step = gauss_newton_step(residuals.H, residuals.g, damping=1e-6, largest=0.2)
-        T = T @ rigid.small_motion(step)
-        moved = float(step.abs().max())
-        enough = _SETTLED if every == 1 else _NEAR
-        if moved < enough * residuals.sigma_normal and residuals.reach > 0.9 * cutoff:
-            if every == 1:
+    few = max(1, min(len(source.sample), len(target.sample)) // _FIRST_POINTS)
+    for every, rounds, enough in ((few, _FIRST_ROUNDS, _NEAR), (1, _ROUNDS, _SETTLED)):
+        for _ in range(rounds):
+            residuals = measure_residuals(T, source, target, cutoff=cutoff, every=every)
+            step = gauss_newton_step(residuals.H, residuals.g, damping=1e-6, largest=0.2)
+            T = T @ rigid.small_motion(step)
+            moved = float(step.abs().max())
+            settled = moved < enough * residuals.sigma_normal and residuals.reach > 0.9 * cutoff
+            cutoff = min(cutoff, max(residuals.reach, 4.0 * moved))
+            if settled:
                 break
-            every = 1
-        cutoff = min(cutoff, max(residuals.reach, 4.0 * moved))
     return rigid.make(nearest_rotation(T[:3, :3]), T[:3, 3])
 
 

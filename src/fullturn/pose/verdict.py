@@ -15,6 +15,7 @@ from torch import Tensor
 from fullturn.errors import FullturnError
 from fullturn.geometry import rigid
 from fullturn.geometry.cloud import Cloud
+from fullturn.geometry.extent import center_and_radius
 from fullturn.pose.verify import FEATURES, FINE
 
 # What "the same pose" and "right" mean: within 5° and 5 % of the larger cloud's radius, at the
@@ -43,6 +44,10 @@ class VerdictWeights:
     output: Float[Tensor, " h"]
     none: Float[Tensor, ""]
 
+    def to(self, device: torch.device) -> VerdictWeights:
+        """The weights on a device."""
+        return VerdictWeights(*(getattr(self, name).to(device) for name in _WEIGHTS))
+
 
 _WEIGHTS = tuple(field.name for field in fields(VerdictWeights))
 
@@ -64,7 +69,9 @@ def limited(
     The verdict was fit on clouds of at least 12 points, and of about one size. Beyond that, all
     poses together get 0.2 at most.
     """
-    small, large = sorted(_radius(cloud) for cloud in (source, target))
+    small, large = sorted(
+        center_and_radius(cloud.points.numpy(force=True))[1] for cloud in (source, target)
+    )
     if min(len(source.points), len(target.points)) < _LEAST_POINTS:
         why = f"fewer than {_LEAST_POINTS} points"
     elif small < _LEAST_SIZE * large:
@@ -73,12 +80,6 @@ def limited(
         return probability, ()
     note = f"{why}: how probable a pose is isn't known, and {_UNKNOWN} at most"
     return probability * (_UNKNOWN / max(float(probability.sum()), _UNKNOWN)), (note,)
-
-
-def _radius(cloud: Cloud) -> float:
-    """The 99th percentile of the distances to the mean: a few stray points say nothing of it."""
-    distance = cloud.points.norm(dim=1)
-    return float(distance.kthvalue(math.ceil(0.99 * len(distance))).values)
 
 
 def verdict_inputs(
@@ -110,6 +111,7 @@ def log_probabilities(
     present: Bool[Tensor, "*batch k"] | None = None,
 ) -> Float[Tensor, "*batch k+1"]:
     """Conditional logit (McFadden 1974) over the finalists and, last, "none of them"."""
+    weights = weights.to(inputs.device)
     standard = standardized(inputs, weights.mean, weights.deviation)
     score = torch.tanh(standard @ weights.hidden + weights.hidden_bias) @ weights.output
     return log_shares(score, weights.none, present)
