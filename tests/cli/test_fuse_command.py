@@ -72,7 +72,7 @@ def test_viewpoints_are_read_from_a_file(files: list[str], tmp_path: Path) -> No
     eyes.write_text("0 0 5\n-\n\n1, 2, 3\n")
     assert call(*files, *options, "--viewpoints", eyes)[0] == 0
     for text, message in (
-        ("0 0 5\n", "one per scan, 3, got 1"),
+        ("0 0 5\n", "a line for each of 3 scans, got 1"),
         ("0 0 5\n-\n1 2\n", "line 3: expected three numbers"),
         ("0 0 5\n-\n1 2 nan\n", "line 3: expected three numbers"),
     ):
@@ -99,6 +99,26 @@ def test_the_documented_fields_are_those_there_are(files: list[str], tmp_path: P
     assert sorted(documented) == sorted([*content, *inner])
 
 
+def test_every_group_is_written_and_counted_and_what_was_there_before_is_named(
+    files: list[str], tmp_path: Path
+) -> None:
+    rng = np.random.default_rng(1)
+    box = rng.uniform(-1, 1, (600, 3)) * (2.0, 0.3, 0.5)
+    box[np.arange(600), rng.integers(0, 3, 600)] = 0.5
+    for number in range(3):
+        files.append(str(tmp_path / f"box{number}.ply"))
+        save_cloud(files[-1], box[: 600 - 5 * number] + 50.0 + 0.1 * number)
+    (tmp_path / "m_group3.ply").write_text("of another run")
+    options = ["--method", "icp-point", "--min-probability", 0.01, "--workers", 1]
+    code, out, err = call(*files, "--out", tmp_path / "m.ply", *options)
+    assert code == 0
+    written = [tmp_path / name for name in ("m.ply", "m_group2.ply")]
+    points = sum(len(load_cloud(path).points) for path in written)
+    assert f"{points:,} points in" in out
+    assert "m_group3.ply was there before" in " ".join(err.split())
+    assert (tmp_path / "m_group3.ply").read_text() == "of another run"
+
+
 @pytest.mark.parametrize("value", ["nan", "0", "1.5"])
 def test_a_probability_out_of_range_is_wrong_usage(value: str, tmp_path: Path) -> None:
     code, _, err = call("a.ply", "b.ply", "--out", tmp_path / "m.ply", "--min-probability", value)
@@ -113,6 +133,8 @@ def test_a_probability_out_of_range_is_wrong_usage(value: str, tmp_path: Path) -
         (["{scan}", "{scan}", "--out", "{folder}/m.ply"], "same points"),
         (["{scan}", "{folder}/none.ply", "--out", "{folder}/m.ply"], "there is none"),
         (["{scan}", "{scan}", "--out", "{folder}/m.jpg"], ".ply, .npy"),
+        (["{scan}", "{folder}/scan1.ply", "--out", "{folder}/./scan1.ply"], "is an input"),
+        (["{scan}"] * 3 + ["{folder}/m_group2.ply", "--out", "{folder}/m.ply"], "is an input"),
         (["{scan}", "{scan}", "--out", "{folder}/m.ply", "--poses", "p.txt"], ".json"),
     ],
 )

@@ -253,18 +253,33 @@ def test_a_stopped_fusion_goes_on_from_the_cache(exact: Exact, tmp_path: Path) -
     assert any("6 pairs of other scans, settings" in note for note in other.notes)
 
 
-@pytest.mark.parametrize("name", ["verdict.safetensors", "api.py"])
+def test_one_scan_more_costs_its_own_pairs_alone(exact: Exact, tmp_path: Path) -> None:
+    clouds, _ = scans_of(shape(), 4)
+    fullturn.fuse(clouds[1:], cache=tmp_path)
+    assert exact.calls == 3
+    # Another size of the whole, too: the unit of the fusion is the scans' median radius.
+    more = [*clouds, 3.0 * shape(1), 3.0 * shape(2)]
+    alone = fullturn.fuse(more)
+    calls, exact.calls = exact.calls - 3, 0
+    larger = fullturn.fuse(more, cache=tmp_path)
+    assert exact.calls == calls - 3
+    assert not any("cache" in note for note in larger.notes)
+    for kept, new in zip(larger.T_world_scan, alone.T_world_scan, strict=True):
+        np.testing.assert_array_equal(kept, new)
+
+
+@pytest.mark.parametrize("name", ["verdict.safetensors", "api.py", "whole.py"])
 def test_a_refit_verdict_finds_nothing_in_the_cache(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     scans, _ = check_scans([shape(), shape(1)])
-    before = pair_key("icp-point", 0, 1.0)(*scans)
-    assert pair_key("icp-point", 0, 1.0)(*scans) == before
+    before = pair_key("icp-point", 0)(*scans)
+    assert pair_key("icp-point", 0)(*scans) == before
     honest = Path.read_bytes
     monkeypatch.setattr(
         Path, "read_bytes", lambda path: b"refit" if path.name == name else honest(path)
     )
-    assert pair_key("icp-point", 0, 1.0)(*scans) != before
+    assert pair_key("icp-point", 0)(*scans) != before
 
 
 def test_a_foreign_cache_is_refused(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from fullturn.cli.errors import tell
 from fullturn.cli.minimum import check_minimum
 
 if TYPE_CHECKING:
@@ -56,9 +57,15 @@ def fuse(
 
     check_minimum(min_probability)
 
-    check_outputs((out, CLOUD_SUFFIXES), (poses, (".json",)), (report, (".html", ".htm")))
-
-    eyes = None if viewpoints is None else _read_viewpoints(viewpoints)
+    others = [_of_group(out, number) for number in range(2, len(scans) // 2 + 1)]
+    check_outputs(
+        (out, CLOUD_SUFFIXES),
+        (poses, (".json",)),
+        (report, (".html", ".htm")),
+        *((path, CLOUD_SUFFIXES) for path in others),
+        inputs=(*scans, viewpoints),
+    )
+    eyes = None if viewpoints is None else _read_viewpoints(viewpoints, len(scans))
 
     from json import dumps
 
@@ -79,8 +86,11 @@ def fuse(
     save_cloud(out, fusion.points)
     for number, group in enumerate(fusion.groups[1:], start=2):
         if len(group) > 1:
-            written.append(out.with_name(f"{out.stem}_group{number}{out.suffix}"))
+            written.append(_of_group(out, number))
             save_cloud(written[-1], fusion.merged[number - 1].points)
+    for path in others:
+        if path not in written and path.exists():
+            tell(f"note: {path} was there before and is none of these groups")
     content = _content(fusion, [str(scan) for scan in scans])
     if poses is not None:
         write_atomic(poses, dumps(content, indent=1) + "\n")
@@ -94,8 +104,12 @@ def fuse(
         _print_table(fusion, written)
 
 
-def _read_viewpoints(path: Path) -> list[tuple[float, ...] | None]:
-    """One place per line that isn't empty, None for a line that is a hyphen."""
+def _of_group(out: Path, number: int) -> Path:
+    return out.with_name(f"{out.stem}_group{number}{out.suffix}")
+
+
+def _read_viewpoints(path: Path, count: int) -> list[tuple[float, ...] | None]:
+    """One place for each of `count` lines that aren't empty, None for one that is a hyphen."""
     from fullturn.errors import ReadError
     from fullturn.io.text import three_numbers
 
@@ -115,6 +129,11 @@ def _read_viewpoints(path: Path) -> list[tuple[float, ...] | None]:
                 f"{line[:80]!r}; change the line"
             )
         places.append(place)
+    if len(places) != count:
+        raise ReadError(
+            f"{path}: expected a line for each of {count} scans, got {len(places)}; write - where "
+            "a sensor's place isn't known"
+        )
     return places
 
 
@@ -187,6 +206,9 @@ def _print_table(fusion: Fusion, written: list[Path]) -> None:
     for note in fusion.notes:
         console.print(Text(f"note: {note}"))
     files = ", ".join(map(str, written))
-    console.print(
-        Text(f"{len(fusion.points):,} points in {files}; {fusion.seconds['total']:.1f} s")
+    points = sum(
+        len(merged.points)
+        for group, merged in zip(fusion.groups, fusion.merged, strict=True)
+        if group is fusion.groups[0] or len(group) > 1
     )
+    console.print(Text(f"{points:,} points in {files}; {fusion.seconds['total']:.1f} s"))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -76,6 +78,7 @@ def locate(
         (out, TRANSFORM_SUFFIXES),
         (save, CLOUD_SUFFIXES),
         (prepared if is_made else None, (".safetensors",)),
+        inputs=(model, scene, None if is_made else prepared),
     )
 
     from fullturn.io import load_cloud
@@ -87,7 +90,9 @@ def locate(
     from fullturn.geometry.motion import move
     from fullturn.locating.locate import locate as run
 
+    begin = time.perf_counter()
     ready = _ready(model, prepared)
+    preparing = time.perf_counter() - begin
     result = run(
         ready,
         cloud,
@@ -95,6 +100,9 @@ def locate(
         instances=instances or None,
         min_probability=0.5 if min_probability is None else min_probability,
     )
+    seconds = {**result.seconds, "prepare": preparing}
+    seconds["total"] += preparing
+    result = replace(result, seconds=seconds)
     if out is not None:
         write_transform(out, result.T_scene_model, name="T_scene_model")
     if save is not None:

@@ -75,6 +75,7 @@ def register(
         (save, CLOUD_SUFFIXES),
         (report, (".html", ".htm")),
         (figure, (".png",)),
+        inputs=(source, target),
     )
 
     from fullturn.io import load_cloud

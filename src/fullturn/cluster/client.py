@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
@@ -15,6 +16,8 @@ if TYPE_CHECKING:
     from distributed import Client
 
 _CONNECT_SECONDS = 15.0
+# With another text, Dask's half-made client keeps the process for half a minute.
+_ADDRESS = re.compile(r"(\w+://)?\S+:\d+")
 
 
 def check_installed() -> None:
@@ -56,6 +59,8 @@ def _client(address: str) -> Client:
     from distributed import Client
 
     try:
+        if not _ADDRESS.fullmatch(address):
+            raise ValueError("no host and port")
         return Client(address, timeout=_CONNECT_SECONDS, set_as_default=False)
     # What is no address at all ends in whatever the parser of addresses raises.
     except Exception as error:

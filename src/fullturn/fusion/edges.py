@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -27,7 +27,11 @@ Sides = tuple[tuple[int, ...], tuple[int, ...]]  # the scans that were registere
 
 @dataclass(frozen=True, eq=False)
 class Edge:
-    """One registered pair. Lengths are in units of the fusion, frames centered on the scans."""
+    """One registered pair, frames centered on the scans.
+
+    Lengths are in units of the fusion, those of what is kept of it in the input's unit: which other
+    scans there are says nothing of a pair.
+    """
 
     target: int
     source: int
@@ -64,6 +68,15 @@ def edge_of(target: int, source: int, result: Registration) -> Edge:
     )
 
 
+def in_unit(edge: Edge, length: float) -> Edge:
+    """An edge in the input's unit in units of that length."""
+    T, covariance = edge.T_target_source.copy(), edge.covariance.copy()
+    T[:, :3, 3] /= length
+    covariance[3:] /= length
+    covariance[:, 3:] /= length
+    return replace(edge, T_target_source=T, covariance=covariance)
+
+
 def failed_edge(target: int, source: int, error: object) -> Edge:
     """An edge without poses, with the reason."""
     return Edge(
@@ -71,11 +84,11 @@ def failed_edge(target: int, source: int, error: object) -> Edge:
     )
 
 
-def pair_key(method: str, seed: int, length: float) -> Callable[[Body, Body], str]:
-    """What an edge depends on, hashed: both clouds, the method's code, seed and unit."""
+def pair_key(method: str, seed: int) -> Callable[[Body, Body], str]:
+    """What a registration depends on, hashed: both clouds, the method's code and seed."""
     # Clouds of whole groups are made from their scans by code of their own.
     code, _ = fingerprint(get(method), roots=(*REGISTER, "fullturn.fusion.whole"))
-    settings = f"{fullturn.__version__} {code} {seed} {length!r}"
+    settings = f"{fullturn.__version__} {code} {seed}"
 
     def key(target: Body, source: Body) -> str:
         return hashlib.sha256(f"{target.key} {source.key} {settings}".encode()).hexdigest()
@@ -101,7 +114,7 @@ class Registrar:
         self._length, self._cache = length, cache
         self._work = partial(_registered, method=method, seed=seed)
         self._crew = Crew(self._work, workers=workers) if workers > 1 else None
-        self._key = None if cache is None else pair_key(method, seed, length)
+        self._key = None if cache is None else pair_key(method, seed)
 
     def __enter__(self) -> Registrar:
         return self
@@ -119,13 +132,13 @@ class Registrar:
         missing = [number for number, edge in enumerate(edges) if edge is None]
         advance(len(todo) - len(missing))
         ends = [(bodies[target], bodies[source]) for target, source in todo]
-        tasks = [(*ends[number], self._length) for number in missing]
+        tasks = [ends[number] for number in missing]
 
         def done(place: int, outcome: Any) -> None:
             target, source = todo[missing[place]]
             is_error = isinstance(outcome, FullturnError)
             edge = (failed_edge if is_error else edge_of)(target, source, outcome)
-            edges[missing[place]] = edge
+            edges[missing[place]] = in_unit(edge, self._length)
             # A failure may be due to this run alone, such as too little memory.
             if self._cache is not None and self._key is not None and not is_error:
                 self._cache.add(self._key(*ends[missing[place]]), _fields(edge))
@@ -142,26 +155,25 @@ class Registrar:
         if self._cache is None or self._key is None:
             return None
         fields = self._cache.get(self._key(*(bodies[number] for number in pair)))
-        return None if fields is None else _edge(*pair, fields)
+        return None if fields is None else in_unit(_edge(*pair, fields), self._length)
 
 
-def _portable(task: tuple[Body, Body, float]) -> tuple[Body, Body, float]:
+def _portable(task: tuple[Body, Body]) -> tuple[Body, Body]:
     """The task without what only this process needs."""
-    target, source, length = task
-    bare = [Body(body.key, body.origin, body.center, body.viewpoint) for body in (target, source)]
-    return bare[0], bare[1], length
+    target, source = (Body(body.key, body.origin, body.center, body.viewpoint) for body in task)
+    return target, source
 
 
-def _registered(task: tuple[Body, Body, float], *, method: str, seed: int) -> Registration:
-    target, source, length = task
+def _registered(task: tuple[Body, Body], *, method: str, seed: int) -> Registration:
+    target, source = task
     eyes = {
-        f"{role}_viewpoint": (body.viewpoint - body.center) / length
+        f"{role}_viewpoint": body.viewpoint - body.center
         for role, body in (("source", source), ("target", target))
         if body.viewpoint is not None
     }
     return register(
-        LoadedCloud(source.points() / length, name="source"),
-        LoadedCloud(target.points() / length, name="target"),
+        LoadedCloud(source.points(), name="source"),
+        LoadedCloud(target.points(), name="target"),
         method=method,
         seed=seed,
         **eyes,

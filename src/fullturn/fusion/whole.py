@@ -45,7 +45,8 @@ def group_body(
         for scan, T in zip(group, poses, strict=True)
     )
     points = merge_clouds(moved, _CELL * spacing or 1e-6 * length).points
-    content = "\n".join(scans[scan].key for scan in group).encode() + np.stack(poses).tobytes()
+    keys = "\n".join((*(scans[scan].key for scan in group), repr(length)))
+    content = keys.encode() + np.stack(poses).tobytes()
     return Body(
         key=hashlib.sha256(content).hexdigest(),
         origin=LoadedCloud(points),

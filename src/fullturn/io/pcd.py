@@ -38,11 +38,17 @@ def read_pcd(data: bytes, name: str) -> Raw:
             f"{name}: expected a PCD header with FIELDS x y z, SIZE, TYPE and POINTS; found "
             f"a problem with {one_line(error)}; the file is damaged"
         ) from error
+    notes: tuple[str, ...] = ()
+    if any(word.strip("+-.0") for word in header.get("VIEWPOINT", [])[:3]):
+        notes = (
+            f"{name}: its VIEWPOINT isn't used, for files mean several things by it; where the "
+            "sensor stood can be told as a viewpoint",
+        )
     sizes = [dtype.itemsize * count for dtype, count in zip(dtypes, counts, strict=True)]
     starts = np.cumsum([0, *sizes])
     size = total * int(starts[-1])
     if encoding == "ascii":
-        return Raw(_ascii(data[body:], total, where, counts, name))
+        return Raw(_ascii(data[body:], total, where, counts, name), notes=notes)
     if encoding == "binary":
         block = data[body : body + size]
         if len(block) < size:
@@ -56,7 +62,7 @@ def read_pcd(data: bytes, name: str) -> Raw:
         block = _decompress(data[body:], size, name, total)
         # Compressed files hold one field after the other.
         columns = [np.frombuffer(block, dtypes[i], total, total * int(starts[i])) for i in where]
-    return Raw(np.column_stack(columns))
+    return Raw(np.column_stack(columns), notes=notes)
 
 
 def lzf_decompress(data: bytes, size: int) -> bytes:

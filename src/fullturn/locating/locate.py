@@ -153,7 +153,8 @@ class _Search:
             found = candidates(self.scene, members, self.model, grid, self.config)
             T = found.T_scene_model.float()
             judged = judge(T, found.features, found.explained, self.model, grid)
-            if int(members.sum()) < _KNOWN_POINTS:
+            # On a large plane, any flat face of the model fits anywhere.
+            if int((members & self.scene.off_planes).sum()) < _KNOWN_POINTS:
                 judged = judged.at_most(_UNKNOWN)
             self._known[key] = _Place(found, judged)
         return self._known[key]
@@ -213,7 +214,7 @@ def _check_scene(scene: SceneParts, points: Tensor, model: PreparedModel, name: 
     size = float((points.amax(0) - points.amin(0)).norm()) * model.radius
     raise InputError(
         f"{name}: expected at least {_FEWEST} points on a model with a diameter of "
-        f"{model.diameter:.3g}; the scene, {size:.3g} across, has {len(points)} points, about "
-        f"{scene.spacing * model.radius:.3g} apart: is the unit the same? If it is, give a denser "
-        "scan"
+        f"{model.diameter:.3g}; the scene, {size:.3g} across, has {len(scene.points)} that are "
+        f"about {scene.spacing * model.radius:.3g} apart, of {len(points)}: is the unit the same? "
+        "If it is, give a denser scan"
     )

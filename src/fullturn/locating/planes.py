@@ -5,14 +5,20 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 from torch import Tensor
 
 from fullturn.data.camera import sphere_directions
 from fullturn.geometry.normals import estimate_normals
 
-_MOST = 4  # planes of a scene
+_MOST, _LOOKS = 4, 8  # planes of a scene, and how many are looked at
+_ALIGNED = 0.8  # cosine of the normals of a plane and of points on it
+LINK = 2.5  # spacings between points of one piece
 _CANDIDATES = 250
 _COUNTED = 3000  # points that candidates are compared on
 _BEYOND = 1.15  # of the model's diameter: what reaches farther is no part of it
@@ -40,23 +46,36 @@ def large_planes(
     spacing: float,
     viewpoint: Float[Tensor, "3"] | None,
 ) -> list[Plane]:
-    """Planes whose points reach farther than any two points of the model, the largest first.
+    """Planes with a piece that reaches farther than any two points of the model, largest first.
 
     Candidates are the tangent planes of points that are spread over the rows; no random draws.
     Points are best evenly spread (voxel means), so that counting them measures area.
     """
     found: list[Plane] = []
     rest = torch.ones(len(points), dtype=torch.bool, device=points.device)
-    while len(found) < _MOST and int(rest.sum()) > max(30, _LEAST_SHARE * len(points)):
+    fewest = max(30, _LEAST_SHARE * len(points))
+    for _ in range(_LOOKS):
+        if len(found) == _MOST or int(rest.sum()) <= fewest:
+            break
         plane = _largest(points, rest, spacing)
-        members = plane.members
-        if int(members.sum()) < max(30, _LEAST_SHARE * len(points)):
+        if int(plane.members.sum()) < fewest:
             break
-        if extent(points[members]) < _BEYOND * diameter:
-            break
-        found.append(_facing(plane, points, viewpoint))
-        rest &= ~members
+        # Faces of several objects may lie in one plane, far from one another.
+        on_plane = points[plane.members]
+        piece = pieces(on_plane.numpy(force=True), LINK * spacing)
+        largest = on_plane[torch.from_numpy(piece == np.bincount(piece).argmax())]
+        if extent(largest) >= _BEYOND * diameter:
+            found.append(_facing(plane, points, viewpoint))
+        rest &= ~plane.members
     return found
+
+
+def pieces(points: np.ndarray, link: float) -> np.ndarray:
+    """The number of the piece (n,) that each point belongs to; gaps above `link` part pieces."""
+    pairs = cKDTree(points).query_pairs(link, output_type="ndarray")
+    ones = np.ones(len(pairs), dtype=np.int8)
+    graph = coo_matrix((ones, (pairs[:, 0], pairs[:, 1])), shape=(len(points), len(points)))
+    return np.asarray(connected_components(graph, directed=False)[1])
 
 
 def extent(points: Float[Tensor, "n 3"]) -> float:
@@ -70,12 +89,14 @@ def _largest(points: Tensor, rest: Tensor, spacing: float) -> Plane:
     """The plane with the most points among the rest, fit to them."""
     among = points[rest]
     some = among[:: -(-len(among) // _COUNTED)]
-    at = some[:: -(-len(some) // _CANDIDATES)]
     # Wide neighborhoods: noise tilts small ones.
-    normals = estimate_normals(some, k=min(40, len(some)), queries=at, orientation="none").normals
-    heights = some @ normals.T - (at * normals).sum(1)
-    best = int((heights.abs() < spacing).sum(0).argmax())
-    normal, offset = normals[best], float(at[best] @ normals[best])
+    normals = estimate_normals(some, k=min(40, len(some)), orientation="none").normals
+    every = slice(None, None, -(-len(some) // _CANDIDATES))
+    heights = some @ normals[every].T - (some[every] * normals[every]).sum(1)
+    # Across an object, a plane meets surfaces of any direction.
+    lies = (heights.abs() < spacing) & ((normals @ normals[every].T).abs() > _ALIGNED)
+    best = int(lies.sum(0).argmax())
+    normal, offset = normals[every][best], float(some[every][best] @ normals[every][best])
     thickness = spacing
     for band in (2.0 * spacing, 1.5 * spacing, spacing):
         near = among[(among @ normal - offset).abs() < band]

@@ -5,15 +5,12 @@ from __future__ import annotations
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from fullturn.locating.planes import extent
+from fullturn.locating.planes import LINK, extent, pieces
 
 _FEWEST = 20  # points of a region
-_LINK = 2.5  # spacings between points of one piece
 _GAP = 0.25  # of the diameter: the widest gap that a sensor leaves between pieces of one object
 _WHOLE = 1.3  # of the diameter: what reaches no farther may be the model alone
 
@@ -35,7 +32,7 @@ def regions(
     if len(index) < _FEWEST:
         return []
     at = points[index].numpy(force=True)
-    piece_of = _pieces(at, _LINK * spacing)
+    piece_of = pieces(at, LINK * spacing)
     sizes = np.bincount(piece_of)
     # A few stray returns say nothing, and would make everything large.
     kept = np.flatnonzero(sizes >= max(4, 0.005 * len(at)))
@@ -53,13 +50,6 @@ def regions(
         mask[index[torch.from_numpy(group)]] = True
         found.append(mask)
     return found
-
-
-def _pieces(points: np.ndarray, link: float) -> np.ndarray:
-    pairs = cKDTree(points).query_pairs(link, output_type="ndarray")
-    ones = np.ones(len(pairs), dtype=np.int8)
-    graph = coo_matrix((ones, (pairs[:, 0], pairs[:, 1])), shape=(len(points), len(points)))
-    return np.asarray(connected_components(graph, directed=False)[1])
 
 
 def _joined(points: np.ndarray, pieces: list[np.ndarray], diameter: float) -> list[np.ndarray]:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 
+import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
@@ -24,6 +25,14 @@ class SceneParts:
     spacing: float
     viewpoint: Float[Tensor, "3"] | None
     planes: list[Plane]
+
+    @cached_property
+    def off_planes(self) -> Bool[Tensor, " n"]:
+        """Which points lie on none of the planes."""
+        off = torch.ones(len(self.points), dtype=torch.bool, device=self.points.device)
+        for plane in self.planes:
+            off &= ~plane.members
+        return off
 
 
 def take_apart(
@@ -48,9 +57,6 @@ def free_parts(
     scene: SceneParts, free: Bool[Tensor, " n"], model: PreparedModel, *, limit: int
 ) -> list[Bool[Tensor, " n"]]:
     """Where the model may be, among the points that nothing explains yet."""
-    off_planes = free.clone()
-    for plane in scene.planes:
-        off_planes &= ~plane.members
     find = partial(
         regions,
         scene.points,
@@ -59,4 +65,4 @@ def free_parts(
         limit=limit,
     )
     # Flat on the plane, the model may be nothing but a part of it.
-    return find(off_planes) or find(free)
+    return find(free & scene.off_planes) or find(free)

@@ -68,7 +68,8 @@ def load_prepared(path: str | os.PathLike[str], *, model: Any = None) -> Prepare
         if source.key != prepared.source:
             raise ReadError(
                 f"{one_line(path)}: expected {source.name}, prepared; it was prepared from another "
-                f"model or an older version of it ({prepared.name}); prepare this one"
+                f"model or an older version of it ({prepared.name}); prepare this one under "
+                "another name"
             )
     return prepared
 
