@@ -48,7 +48,7 @@ def test_a_plane_that_the_model_may_have_is_left() -> None:
 def test_objects_in_a_row_are_no_plane(shape: trimesh.Trimesh) -> None:
     """Their faces lie in planes that reach far, and so do the cuts through them."""
     one = np.asarray(trimesh.sample.sample_surface(shape, 2000, seed=0)[0])
-    row = torch.from_numpy(np.concatenate([one + [3.0 * k, 0, 0] for k in range(4)]))
+    row = torch.from_numpy(np.concatenate([one + np.array([3.0 * k, 0, 0]) for k in range(4)]))
     assert large_planes(row, diameter=2.0, spacing=0.05, viewpoint=None) == []
 
 
