@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from fullturn.data.camera import Camera, bounding_ball, cameras_around, look_at, sphere_directions
+from fullturn.data.camera import Camera, bounding_ball, cameras_around, look_at
 from fullturn.errors import InputError
+from fullturn.geometry.directions import sphere_directions
 from fullturn.geometry.motion import move
 
 ORIGIN = np.zeros(3)

@@ -64,8 +64,9 @@ def test_a_stray_point_of_a_cloud_is_left_out_and_named() -> None:
 
 
 def test_visible_points_are_those_of_the_near_half() -> None:
-    points = trimesh.creation.icosphere(subdivisions=5).vertices
-    seen = visible(points, np.array([0.0, 0.0, 3.0]), pixel=0.1, margin=0.15)
+    points = torch.from_numpy(np.array(trimesh.creation.icosphere(subdivisions=5).vertices))
+    eye = torch.tensor([0.0, 0.0, 3.0]).double()
+    seen = visible(points, eye, pixel=0.1, margin=0.15)
     assert seen[points[:, 2] > 0.7].all()
     assert not seen[points[:, 2] < 0.0].any()
 

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from fullturn.data.motion import uniform_rotation
 from fullturn.errors import InputError
+from fullturn.geometry.directions import sphere_directions
 from fullturn.geometry.motion import invert, rigid
 
 # Within this angle of the object's z axis, a line of sight has no stable "up" along z.
@@ -98,22 +99,6 @@ def look_at(
     R = np.stack([right, np.cross(forward, right), forward])
     focal = min(width, height) / 2 / math.tan(math.radians(fov_deg) / 2)
     return Camera(rigid(R, -R @ eye), focal, width, height)
-
-
-def sphere_directions(count: int) -> Float[np.ndarray, "count 3"]:
-    """`count` unit vectors, spread evenly over the sphere: a Fibonacci lattice.
-
-    The k-th lies at height 1 − (2k + 1)/count, one golden angle around z from the one before
-    (González, "Measurement of areas on a sphere using Fibonacci and latitude–longitude lattices",
-    2010). The first half of an even number of them is the upper half of the sphere.
-    """
-    if count < 1:
-        raise InputError(f"count: expected at least 1 direction, got {count}")
-    step = np.arange(count)
-    z = 1.0 - (2.0 * step + 1.0) / count
-    angle_rad = step * (math.pi * (3.0 - math.sqrt(5.0)))
-    ring = np.sqrt(1.0 - z**2)
-    return np.stack([ring * np.cos(angle_rad), ring * np.sin(angle_rad), z], axis=1)
 
 
 def cameras_around(

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import product
 
 import numpy as np
@@ -111,8 +112,12 @@ class _Graph:
             a, b = pair
             self.neighbors[a].add(b)
             self.neighbors[b].add(a)
-        pairs = [(min(pair), max(pair)) for pair in pool]
-        self.order = sorted((-self._supported(i, j), i, j) for i, j in pairs)
+
+    @cached_property
+    def order(self) -> list[tuple[float, int, int]]:
+        """All pairs, that of the most supported pose first, which takes all paths over thirds."""
+        pairs = [(min(pair), max(pair)) for pair in self.pool]
+        return sorted((-self._supported(i, j), i, j) for i, j in pairs)
 
     def between(self, i: int, j: int) -> list[Measurement]:
         """What the edges of two scans say of T_i_j."""

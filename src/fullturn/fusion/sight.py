@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import math
-
-import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from fullturn.geometry.directions import sphere_directions
 from fullturn.pose.visibility import DepthImages
 
 _DIRECTIONS, _LIKELY = 64, 24  # looked from, and of these the ones that hide the fewest points
@@ -34,7 +32,8 @@ class Sights:
         if viewpoint is None:
             middle = points.mean(0)
             radius = (points - middle).norm(dim=-1).amax()
-            eyes = middle + _AWAY * radius * _directions(_DIRECTIONS).to(points)
+            around = torch.from_numpy(sphere_directions(_DIRECTIONS)).to(points)
+            eyes = middle + _AWAY * radius * around
             hidden = DepthImages(points, eyes, spacing=spacing).hidden(points)
             eyes = eyes[hidden.argsort(stable=True)[:_LIKELY]]
         else:
@@ -45,11 +44,3 @@ class Sights:
     def contradicted(self, points: Float[Tensor, "k m 3"]) -> Float[Tensor, "v k"]:
         """The share of each set of points that contradicts each of the places."""
         return self._images.violations(points)[..., :2].sum(-1)
-
-
-def _directions(count: int) -> Float[Tensor, "v 3"]:
-    """Unit vectors, evenly over the sphere, on a spiral."""
-    step = np.arange(count) + 0.5
-    z, turn = 1 - 2 * step / count, math.pi * (1 + math.sqrt(5)) * step
-    level = np.sqrt(1 - z**2)
-    return torch.from_numpy(np.stack([level * np.cos(turn), level * np.sin(turn), z], 1))

@@ -101,13 +101,6 @@ class NeighborIndex:
             distance[:, len(self.points) :] = np.inf
         return torch.from_numpy(index), torch.from_numpy(distance).to(queries.dtype)
 
-    def radius(
-        self, queries: Float[Tensor, "m 3"], radius: float, *, max_neighbors: int
-    ) -> tuple[Int[Tensor, "m k"], Float[Tensor, "m k"]]:
-        """The nearest points within a radius, at most `max_neighbors`; padded with −1 and inf."""
-        _check_radius(radius)
-        return _within(*self.knn(queries, max_neighbors), radius)
-
     def nearest(
         self, queries: Float[Tensor, "m 3"], *, within: float = math.inf
     ) -> tuple[Int[Tensor, " m"], Float[Tensor, " m"]]:

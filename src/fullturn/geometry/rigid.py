@@ -9,8 +9,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from fullturn.errors import InputError
-
 # Below these squared angles a power series is used: there it is exact to float64 rounding, while
 # the closed form divides by zero at 0 and loses digits near it.
 _SERIES_BELOW_SQ = 0.1
@@ -148,25 +146,10 @@ def rotation_from_axis_angle(
     return exp_so3(axis / torch.where(length > 0, length, 1.0) * angle_rad[..., None])
 
 
-def random_rotations_axis_angle(
-    count: int, *, max_angle_deg: float = 180.0, rng: np.random.Generator
-) -> Float[Tensor, "count 3 3"]:
-    """Rotations with a uniform axis and an angle uniform in [0, `max_angle_deg`] (float64).
-
-    This is the protocol of GMCNet's experiments. At 180° the mean angle is 90°; it is *not*
-    uniform on SO(3): compare `random_rotations_uniform`, whose mean angle is 126.5°.
-    """
-    if not 0.0 <= max_angle_deg <= 180.0:
-        raise InputError(f"max_angle_deg must lie in [0, 180], got {max_angle_deg}")
-    axis = torch.from_numpy(rng.standard_normal((count, 3)))
-    angle_rad = torch.from_numpy(rng.uniform(0.0, math.radians(max_angle_deg), count))
-    return rotation_from_axis_angle(axis, angle_rad)
-
-
 def random_rotations_uniform(count: int, *, rng: np.random.Generator) -> Float[Tensor, "count 3 3"]:
     """Rotations uniform on SO(3) (Haar measure; float64), from Gaussian quaternions.
 
-    The mean angle is π/2 + 2/π rad = 126.5°; `random_rotations_axis_angle` has a mean of 90°.
+    The mean angle is π/2 + 2/π rad = 126.5°.
     """
     q = torch.from_numpy(rng.standard_normal((count, 4)))
     q = q / torch.linalg.vector_norm(q, dim=-1, keepdim=True)

@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from fullturn.data.camera import sphere_directions
+from fullturn.geometry.directions import sphere_directions
 from fullturn.geometry.normals import estimate_normals
 
 _MOST, _LOOKS = 4, 8  # planes of a scene, and how many are looked at

@@ -9,11 +9,14 @@ import numpy as np
 import torch
 import trimesh
 from jaxtyping import Bool, Float
+from torch import Tensor
 
-from fullturn.data.camera import look_at, sphere_directions
+from fullturn.data.camera import look_at
 from fullturn.data.scanner import Scanner
+from fullturn.geometry.directions import sphere_directions
 from fullturn.geometry.neighbors import NeighborIndex
 from fullturn.geometry.sampling import point_spacing, voxel_sample
+from fullturn.pose.depth import nearest_depth, pixel_of, project, sideways
 
 DISTANCE = 3.0  # of the eyes from the middle, in radii
 _FIRST_PIXELS = 64  # a side, of the look that says how many pixels it takes
@@ -65,30 +68,27 @@ def views_of_cloud(points: Float[np.ndarray, "n 3"], *, count: int) -> list[View
     gap = float(NeighborIndex(even).knn(even, 2)[1][:, 1].quantile(0.9))
     found = []
     for direction in sphere_directions(count):
-        seen = visible(even.numpy(), DISTANCE * direction, pixel=2.0 * gap, margin=3.0 * gap)
-        if seen.sum() >= _FEWEST:
-            found.append(View(direction, even.numpy()[seen]))
+        eye = torch.from_numpy(DISTANCE * direction)
+        seen = even[visible(even, eye, pixel=2.0 * gap, margin=3.0 * gap)]
+        if len(seen) >= _FEWEST:
+            found.append(View(direction, seen.numpy()))
     return found
 
 
 def visible(
-    points: Float[np.ndarray, "n 3"],
-    eye: Float[np.ndarray, "3"],
-    *,
-    pixel: float,
-    margin: float,
-) -> Bool[np.ndarray, "n"]:
+    points: Float[Tensor, "n 3"], eye: Float[Tensor, "3"], *, pixel: float, margin: float
+) -> Bool[Tensor, " n"]:
     """Which points of a cloud around the origin an eye sees: none in their pixel is much nearer.
 
     A pixel is `pixel` wide at the origin; "much" is more than `margin`.
     """
-    distance = float(np.linalg.norm(eye))
+    distance = float(eye.norm())
     forward = -eye / distance
-    right = np.cross(forward, np.eye(3)[np.abs(forward).argmin()])
-    right /= np.linalg.norm(right)
-    depth = (points - eye) @ forward
-    image = (points - eye) @ np.stack([right, np.cross(forward, right)], 1) / depth[:, None]
-    cell = np.floor((image - image.min(axis=0)) * (distance / pixel)).astype(np.int64)
-    nearest = np.full(tuple(cell.max(axis=0) + 1), np.inf)
-    np.minimum.at(nearest, (cell[:, 0], cell[:, 1]), depth)
-    return depth <= nearest[cell[:, 0], cell[:, 1]] + margin
+    right = sideways(forward)
+    frame = torch.stack([right, torch.linalg.cross(forward, right), forward], 1)
+    image, depth = project(points, eye, frame)
+    half, width = float(image.abs().amax()), pixel / distance
+    every, side = torch.ones_like(depth).bool(), int(2 * half / width) + 1
+    cell = pixel_of(image, every, half=half, width=width, side=side)
+    nearest = nearest_depth(cell[None], depth[None], every[None], side=side).flatten()
+    return depth <= nearest[cell] + margin
