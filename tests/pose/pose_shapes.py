@@ -29,7 +29,9 @@ def random_motions(
 ) -> Tensor:
     """Rigid motions (count, 4, 4), float64: any axis, an angle up to `angle_deg`."""
     rng = np.random.default_rng(seed)
-    R = rigid.random_rotations_axis_angle(count, max_angle_deg=angle_deg, rng=rng)
+    axis = torch.from_numpy(rng.standard_normal((count, 3)))
+    angle = torch.from_numpy(np.radians(rng.uniform(0.0, angle_deg, count)))
+    R = rigid.rotation_from_axis_angle(axis, angle)
     return rigid.make(R, torch.from_numpy(rng.normal(size=(count, 3))) * length)
 
 

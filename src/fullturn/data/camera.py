@@ -101,6 +101,25 @@ def look_at(
     return Camera(rigid(R, -R @ eye), focal, width, height)
 
 
+def ball_camera(
+    center: Float[np.ndarray, "3"],
+    radius: float,
+    direction: Float[np.ndarray, "3"],
+    *,
+    distance: float,
+    width: int,
+    height: int,
+) -> Camera:
+    """A camera `distance` radii away, in a direction, whose shorter side just holds the ball."""
+    return look_at(
+        center + distance * radius * direction,
+        center,
+        fov_deg=math.degrees(2.0 * math.asin(1.0 / distance)),
+        width=width,
+        height=height,
+    )
+
+
 def cameras_around(
     center: Float[np.ndarray, "3"],
     radius: float,
@@ -134,15 +153,8 @@ def cameras_around(
         directions = sphere_directions(2 * count)[:count] @ turn.T
     else:
         directions = sphere_directions(count) @ uniform_rotation(rng).T
-    fov_deg = math.degrees(2.0 * math.asin(1.0 / distance))
     return [
-        look_at(
-            center + distance * radius * direction,
-            center,
-            fov_deg=fov_deg,
-            width=width,
-            height=height,
-        )
+        ball_camera(center, radius, direction, distance=distance, width=width, height=height)
         for direction in directions
     ]
 

@@ -10,7 +10,7 @@ import numpy as np
 import trimesh
 from jaxtyping import Float
 
-from fullturn.data.camera import Camera, look_at
+from fullturn.data.camera import Camera, ball_camera
 from fullturn.data.motion import ball_translation, uniform_direction, uniform_rotation
 from fullturn.data.overlap import scan_overlap
 from fullturn.data.pair import Pair
@@ -70,7 +70,10 @@ def scan_pair(
     scanner = Scanner(mesh, sensor=sensor, radius=radius, backend=backend)
 
     def look(direction: np.ndarray) -> Seen | None:
-        camera = _camera(center, radius, direction, distance=rng.uniform(*distance))
+        away = rng.uniform(*distance)
+        camera = ball_camera(
+            center, radius, direction, distance=away, width=_FIRST_PIXELS, height=_FIRST_PIXELS
+        )
         wanted = round(_CHOICE[thinning] * points)
         return scanner.look(camera, wanted=wanted, enough=-(-points // 2), rng=rng)
 
@@ -127,23 +130,6 @@ def _moved(
         name,
         source_viewpoint=source_viewpoint,
         target_viewpoint=target_viewpoint,
-    )
-
-
-def _camera(
-    center: Float[np.ndarray, "3"],
-    radius: float,
-    direction: Float[np.ndarray, "3"],
-    *,
-    distance: float,
-) -> Camera:
-    """A camera whose image just holds the ball."""
-    return look_at(
-        center + distance * radius * direction,
-        center,
-        fov_deg=math.degrees(2.0 * math.asin(1.0 / distance)),
-        width=_FIRST_PIXELS,
-        height=_FIRST_PIXELS,
     )
 
 

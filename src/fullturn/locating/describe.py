@@ -8,14 +8,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from fullturn.features.surface import surface_histogram
-from fullturn.geometry.normals import estimate_normals
-from fullturn.geometry.sampling import local_area, voxel_sample
+from fullturn.geometry.sampling import voxel_sample
 from fullturn.nn.surface import load_surface_net
+from fullturn.pose.levels import make_level
 from fullturn.pose.search import NO_WEIGHTS
-
-_NORMAL_NEIGHBORS = 20
-_HISTOGRAM_RADIUS = 12.0  # point spacings, where the package has no descriptor weights
+from fullturn.pose.similarity import histograms, network_descriptors
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,16 +39,9 @@ def describe(
     """
     fine, _ = voxel_sample(points, fine_voxel)
     thin, _ = voxel_sample(fine, voxel)
-    normals = estimate_normals(
-        fine, k=min(_NORMAL_NEIGHBORS, len(fine)), queries=thin, orientation="centroid"
-    ).normals.float()
-    area = local_area(thin).float()
-    thin = thin.float()
-    network = load_surface_net()
-    with torch.no_grad():
-        if network is None:
-            found = surface_histogram(thin, normals, area, radius=_HISTOGRAM_RADIUS * spacing)
-        else:
-            everyone = torch.arange(len(thin), device=thin.device)
-            found = network.to(thin.device)(thin, normals, area, everyone, spacing=spacing)
-    return Described(thin, normals, area, found)
+    level = make_level(thin, fine)
+    everyone = torch.arange(len(thin), device=thin.device)
+    found = network_descriptors(level, everyone, spacing=spacing)
+    if found is None:
+        found = histograms(level, everyone, spacing=spacing)
+    return Described(level.points, level.normals, level.area, found)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +10,7 @@ import trimesh
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from fullturn.data.camera import look_at
+from fullturn.data.camera import ball_camera
 from fullturn.data.scanner import Scanner
 from fullturn.geometry.directions import sphere_directions
 from fullturn.geometry.neighbors import NeighborIndex
@@ -43,10 +42,11 @@ def views_of_mesh(mesh: trimesh.Trimesh, *, count: int) -> list[View]:
     rng = np.random.default_rng(0)
     found = []
     for direction in sphere_directions(count):
-        camera = look_at(
-            DISTANCE * direction,
+        camera = ball_camera(
             np.zeros(3),
-            fov_deg=math.degrees(2.0 * math.asin(1.0 / DISTANCE)),
+            1.0,
+            direction,
+            distance=DISTANCE,
             width=_FIRST_PIXELS,
             height=_FIRST_PIXELS,
         )

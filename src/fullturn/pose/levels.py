@@ -17,6 +17,7 @@ _DENSE = 8
 _FEW = 64
 _LARGEST_VOXEL = 0.15  # of a cloud's own radius
 _KEYPOINTS = 400
+_NORMAL_NEIGHBORS = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,18 +63,21 @@ def level_pair(
     target: Float[Tensor, "q 3"],
     *,
     support: tuple[Float[Tensor, "n 3"], Float[Tensor, "m 3"]] | None = None,
-    normal_neighbors: int = 20,
 ) -> LevelPair:
     """Normals and spacing for two thinned clouds; `support` are finer clouds for the normals."""
     finer = support or (source, target)
-    levels = []
-    for points, fine in zip((source, target), finer, strict=True):
-        normals = estimate_normals(
-            fine, k=min(normal_neighbors, len(fine)), queries=points, orientation="centroid"
-        ).normals
-        levels.append(Level(points.float(), normals.float(), local_area(points).float()))
-    spacing = max(point_spacing(source), point_spacing(target))
-    return LevelPair(levels[0], levels[1], spacing)
+    return LevelPair(
+        make_level(source, finer[0]),
+        make_level(target, finer[1]),
+        max(point_spacing(source), point_spacing(target)),
+    )
+
+
+def make_level(points: Float[Tensor, "p 3"], finer: Float[Tensor, "n 3"]) -> Level:
+    """A thinned cloud with normals from the finer one."""
+    neighbors = min(_NORMAL_NEIGHBORS, len(finer))
+    normals = estimate_normals(finer, k=neighbors, queries=points, orientation="centroid").normals
+    return Level(points.float(), normals.float(), local_area(points).float())
 
 
 def _thin(points: Tensor, size: float) -> Tensor:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import dataclass, field
 from typing import ClassVar, final
@@ -17,7 +18,8 @@ from fullturn.geometry.neighbors import NeighborIndex
 from fullturn.geometry.normals import estimate_normals
 from fullturn.geometry.sampling import point_spacing, voxel_sample
 from fullturn.methods.base import Estimate, Method, Traits
-from fullturn.pose.kabsch import weighted_kabsch
+from fullturn.pose.kabsch import nearest_rotation, weighted_kabsch
+from fullturn.pose.residuals import gauss_newton_step, normal_equations
 
 
 @dataclass(frozen=True)
@@ -122,10 +124,10 @@ def _align(source: _Side, target: _Side, config: IcpConfig) -> Tensor:
             if moving < (config.tolerance if last else 0.01 * scale):
                 break
         if last:
-            return _orthonormal(T)
+            return rigid.make(nearest_rotation(T[:3, :3]), T[:3, 3])
         residual, near = _residuals(*_partners(source, target, T), gate)
         if not bool(near.any()):
-            return _orthonormal(T)
+            return rigid.make(nearest_rotation(T[:3, :3]), T[:3, 3])
         noise = max(1.4826 * float(residual[near].median()), 1e-6 * spacing)
         last = config.shrink * scale <= noise
         scale = max(config.shrink * scale, noise)
@@ -159,16 +161,6 @@ def _residuals(
 def _step(moved: Tensor, partner: Tensor, normal: Tensor | None, weight: Tensor) -> Tensor:
     if normal is None:
         return weighted_kabsch(moved, partner, weight)
-    jacobian = torch.cat([torch.linalg.cross(moved, normal), normal], -1)
-    residual = ((moved - partner) * normal).sum(-1)
-    information = jacobian.mT @ (weight.unsqueeze(-1) * jacobian)
-    gradient = jacobian.mT @ (weight * residual)
+    H, g = normal_equations(moved, moved - partner, normal, weight)
     # Directions in which planes slide on one another stay where they are.
-    damping = 1e-9 * information.diagonal().max().clamp_min(1e-30) * torch.eye(6).to(information)
-    return rigid.exp_se3(-torch.linalg.solve(information + damping, gradient))
-
-
-def _orthonormal(T: Tensor) -> Tensor:
-    """Undo the rounding of many products, so that R is a rotation to the last digit."""
-    left, _, right = torch.linalg.svd(T[:3, :3])
-    return rigid.make(left @ right, T[:3, 3])
+    return rigid.exp_se3(gauss_newton_step(H, g, damping=1e-9, largest=math.inf))
