@@ -20,7 +20,7 @@ from fullturn.data.surface import sample_surface
 from fullturn.evaluation.metrics import rotation_error_deg
 from fullturn.fusion.result import Fusion
 from fullturn.geometry.diameter import diameter
-from fullturn.geometry.motion import invert, move, rigid
+from fullturn.geometry.motion import invert, move, nearest_rotation, rigid
 from fullturn.io import load_cloud
 
 WITHIN_DEG = 5.0
@@ -166,8 +166,7 @@ def placed_by_surface(fusion: Fusion, scans: MovedScans, surface: Surface) -> li
 def best_motion(points: np.ndarray, others: np.ndarray) -> np.ndarray:
     """The rigid motion that brings points onto others best (Kabsch)."""
     a, b = points.mean(0), others.mean(0)
-    U, _, Vt = np.linalg.svd((others - b).T @ (points - a))
-    R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
+    R = nearest_rotation((others - b).T @ (points - a))
     return rigid(R, b - R @ a)
 
 

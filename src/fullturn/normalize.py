@@ -9,6 +9,7 @@ import torch
 
 from fullturn.geometry.cloud import Cloud
 from fullturn.geometry.extent import center_and_radius, far_from_the_rest
+from fullturn.geometry.motion import skew
 
 _UNLIKE = 10.0
 
@@ -44,9 +45,8 @@ class Normalization:
         The perturbation ω × xₙ + vₙ of a normalized source point is ω × x + v in the input's
         source frame, with v = length vₙ + c_s × ω, so C = A Cₙ Aᵀ with A = [I 0; [c_s]× length I].
         """
-        x, y, z = self.source_center
         adjoint = np.eye(6)
-        adjoint[3:, :3] = [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]
+        adjoint[3:, :3] = skew(self.source_center)
         adjoint[3:, 3:] *= self.length
         covariance = adjoint @ covariance_normalized @ adjoint.T
         return (covariance + covariance.T) / 2.0

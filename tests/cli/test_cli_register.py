@@ -16,7 +16,6 @@ from typer.testing import CliRunner
 
 import fullturn
 from fullturn.cli.main import build_app
-from fullturn.cli.render import rotation_deg
 from fullturn.io import load_cloud, read_transform, save_cloud
 
 R_TRUE = Rotation.from_rotvec([0.1, -0.2, 0.15]).as_matrix()
@@ -228,10 +227,3 @@ def test_a_real_interrupt_exits_with_130(files: list[str]) -> None:
     _, err = process.communicate(timeout=30)
     assert process.returncode == 130
     assert err == "fullturn: interrupted\n"
-
-
-@pytest.mark.parametrize("angle_deg", [0.0, 1e-6, 30.0, 179.999999, 180.0])
-def test_the_angle_that_is_shown(angle_deg: float) -> None:
-    T = np.eye(4)
-    T[:3, :3] = Rotation.from_rotvec(np.radians(angle_deg) * np.array([0.6, 0, 0.8])).as_matrix()
-    assert rotation_deg(T) == pytest.approx(angle_deg, abs=1e-9)

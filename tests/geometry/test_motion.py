@@ -1,9 +1,17 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
 
-from fullturn.geometry.motion import invert, move, rigid
+from fullturn.geometry.motion import (
+    invert,
+    move,
+    nearest_rotation,
+    rigid,
+    rotation_angle_deg,
+    skew,
+)
 
 
 def test_inverses_undo_the_motions() -> None:
@@ -15,3 +23,23 @@ def test_inverses_undo_the_motions() -> None:
         assert np.allclose(move(inverse, move(motion, points)), points)
         assert np.allclose(inverse, np.linalg.inv(motion))
         assert np.array_equal(inverse, invert(motion))
+
+
+@pytest.mark.parametrize("angle_deg", [0.0, 1e-6, 30.0, 179.999999, 180.0])
+def test_the_angle_that_is_shown(angle_deg: float) -> None:
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_rotvec(np.radians(angle_deg) * np.array([0.6, 0, 0.8])).as_matrix()
+    assert rotation_angle_deg(T[:3, :3]) == pytest.approx(angle_deg, abs=1e-9)
+
+
+def test_the_nearest_rotation_is_one_even_to_a_mirror() -> None:
+    rng = np.random.default_rng(1)
+    R = Rotation.random(random_state=1).as_matrix()
+    np.testing.assert_allclose(nearest_rotation(R + 1e-9 * rng.normal(size=(3, 3))), R, atol=1e-8)
+    mirrored = nearest_rotation(R @ np.diag([1.0, 1.0, -0.5]))
+    assert np.linalg.det(mirrored) == pytest.approx(1.0)
+
+
+def test_skew_is_the_cross_product() -> None:
+    v, x = np.random.default_rng(2).normal(size=(2, 3))
+    np.testing.assert_allclose(skew(v) @ x, np.cross(v, x))

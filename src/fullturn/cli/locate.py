@@ -166,8 +166,8 @@ def _content(result: Located, model: str, scene: str) -> dict[str, Any]:
 def _print_table(result: Located, model: str, scene: str) -> None:
     from rich.console import Console
 
-    from fullturn.cli.render import rotation_deg, titled_rows
-    from fullturn.geometry.motion import invert
+    from fullturn.cli.render import titled_rows
+    from fullturn.geometry.motion import invert, rotation_angle_deg
     from fullturn.viz.tables import probability
 
     table, row = titled_rows()
@@ -176,13 +176,13 @@ def _print_table(result: Located, model: str, scene: str) -> None:
         T = place.T_scene_model
         if len(result.locations) > 1:
             row(f"instance {number}", "")
-        row("rotation", f"{rotation_deg(T):.2f}°")
+        row("rotation", f"{rotation_angle_deg(T[:3, :3]):.2f}°")
         row("translation", "  ".join(f"{x:.6g}" for x in T[:3, 3]))
         row("probability", f"{probability(place.surface_probability)} that its surface lies there")
         row("of the pose", f"{probability(place.success_probability)} that it is the true one")
         row("seen", f"{place.visible_share:.0%} of the model's outside")
         for rank, other in enumerate(place.alternatives, start=1):
-            angle_deg = rotation_deg(invert(T) @ other.T_scene_model)
+            angle_deg = rotation_angle_deg((invert(T) @ other.T_scene_model)[:3, :3])
             stated = probability(other.success_probability)
             row(f"alternative {rank}", f"probability {stated}, {angle_deg:.1f}° away")
     for note in result.notes:

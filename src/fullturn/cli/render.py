@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-import numpy as np
 import typer
 from rich.console import Console
 from rich.table import Table as RichTable
@@ -15,7 +13,7 @@ from rich.text import Text
 
 from fullturn.errors import DependencyError
 from fullturn.evaluation.layout import Table
-from fullturn.geometry.motion import invert
+from fullturn.geometry.motion import invert, rotation_angle_deg
 from fullturn.result import Registration
 from fullturn.viz.tables import probability
 
@@ -25,12 +23,12 @@ def print_table(result: Registration, *, source_name: str, target_name: str) -> 
     T = result.T_target_source
     table, row = titled_rows()
     row("source → target", f"{source_name} → {target_name}")
-    row("rotation", f"{rotation_deg(T):.2f}°")
+    row("rotation", f"{rotation_angle_deg(T[:3, :3]):.2f}°")
     row("translation", "  ".join(f"{x:.6g}" for x in T[:3, 3]))
     row("probability", f"{probability(result.success_probability)} that this pose is the true one")
     row("overlap", "{:.0%} of the source, {:.0%} of the target".format(*result.overlap))
     for number, other in enumerate(result.alternatives, start=1):
-        angle_deg = rotation_deg(invert(T) @ other.T_target_source)
+        angle_deg = rotation_angle_deg((invert(T) @ other.T_target_source)[:3, :3])
         shares = "{:.0%} and {:.0%}".format(*other.overlap)
         row(
             f"alternative {number}",
@@ -76,7 +74,7 @@ def print_json(result: Registration, *, source_name: str, target_name: str) -> N
         "overlap": list(result.overlap),
         "method": result.method,
         "seconds": result.seconds,
-        "rotation_deg": rotation_deg(result.T_target_source),
+        "rotation_deg": float(rotation_angle_deg(result.T_target_source[:3, :3])),
         "alternatives": [
             {
                 "T_target_source": other.T_target_source.tolist(),
@@ -117,14 +115,3 @@ def print_results(main: Table) -> None:
         print(line(cells))
     for note in main.notes:
         print(note)
-
-
-def rotation_deg(T_target_source: np.ndarray) -> float:
-    """The angle of a transform's rotation, in degrees.
-
-    >>> round(rotation_deg(np.diag([-1.0, -1.0, 1.0, 1.0])), 6)
-    180.0
-    """
-    R = T_target_source[:3, :3]
-    sine = np.linalg.norm([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
-    return math.degrees(math.atan2(sine, np.trace(R) - 1.0))

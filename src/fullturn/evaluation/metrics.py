@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float
 from scipy.spatial import cKDTree
 
 from fullturn.errors import InputError
-from fullturn.geometry.motion import move
+from fullturn.geometry.motion import move, rotation_angle_deg
 
 SUCCESS_ANGLE_DEG = 5.0
 SUCCESS_SHARE = 0.05  # of the source's radius
@@ -24,17 +24,11 @@ def rotation_error_deg(
 ) -> Float[np.ndarray, "..."] | np.floating:
     """The angle of R_trueᵀ·R_found, in [0, 180].
 
-    arccos((tr − 1)/2) in its atan2 form, which keeps its digits near 0° and near 180°.
-
     >>> quarter = np.array([[0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]])
     >>> float(rotation_error_deg(quarter, np.eye(4)))
     90.0
     """
-    rotation = np.swapaxes(true[..., :3, :3], -1, -2) @ found[..., :3, :3]
-    cosine_twice = np.trace(rotation, axis1=-2, axis2=-1) - 1.0
-    skew = rotation - np.swapaxes(rotation, -1, -2)
-    sine_twice = np.sqrt(skew[..., 2, 1] ** 2 + skew[..., 0, 2] ** 2 + skew[..., 1, 0] ** 2)
-    return np.degrees(np.arctan2(sine_twice, cosine_twice))
+    return rotation_angle_deg(np.swapaxes(true[..., :3, :3], -1, -2) @ found[..., :3, :3])
 
 
 def translation_error(

@@ -14,6 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fullturn.geometry.motion import nearest_rotation, rigid
+
 # The most probable ones; the work grows with their number squared.
 _MOST_HYPOTHESES = 64
 
@@ -71,11 +73,8 @@ def posterior(
 def _mean(T: np.ndarray, weight: np.ndarray, at: np.ndarray) -> np.ndarray:
     """The weighted mean of poses (m, 4, 4) that are nearly the same, its shift taken at `at`."""
     share = weight / weight.sum()
-    U, _, Vt = np.linalg.svd(np.tensordot(share, T[:, :3, :3], 1))
-    result = np.eye(4)
-    result[:3, :3] = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
-    result[:3, 3] = share @ (T[:, :3, :3] @ at + T[:, :3, 3]) - result[:3, :3] @ at
-    return result
+    R = nearest_rotation(np.tensordot(share, T[:, :3, :3], 1))
+    return rigid(R, share @ (T[:, :3, :3] @ at + T[:, :3, 3]) - R @ at)
 
 
 def agree(

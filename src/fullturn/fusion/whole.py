@@ -11,7 +11,7 @@ import numpy as np
 from fullturn.fusion.edges import Edge, Sides
 from fullturn.fusion.merge import merge_clouds
 from fullturn.fusion.scans import Body, Scan
-from fullturn.geometry.motion import invert
+from fullturn.geometry.motion import invert, skew
 from fullturn.io import LoadedCloud
 
 _CELL = 1.5  # of a group's cloud, in spacings of what is kept of its scans
@@ -112,8 +112,8 @@ def _in_body(T_group_scan: np.ndarray, body: Body, length: float, *, alone: bool
 
 def _adjoint(T: np.ndarray) -> np.ndarray:
     """Of a motion on twists (rotation vector, translation): [R 0; [t]ₓR R]."""
-    R, (x, y, z) = T[:3, :3], T[:3, 3]
+    R = T[:3, :3]
     result = np.zeros((6, 6))
     result[:3, :3] = result[3:, 3:] = R
-    result[3:, :3] = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]) @ R
+    result[3:, :3] = skew(T[:3, 3]) @ R
     return result

@@ -30,3 +30,30 @@ def move(
 ) -> Float[np.ndarray, "*n 3"]:
     """The points after the motion, ``points @ R.T + t``."""
     return points @ motion[:3, :3].T + motion[:3, 3]
+
+
+def rotation_angle_deg(rotation: Float[np.ndarray, "*batch 3 3"]) -> Float[np.ndarray, "*batch"]:
+    """The angle of each rotation, in [0, 180].
+
+    arccos((tr − 1)/2) in its atan2 form, which keeps its digits near 0° and near 180°.
+
+    >>> float(rotation_angle_deg(np.diag([-1.0, -1.0, 1.0])))
+    180.0
+    """
+    cosine_twice = np.trace(rotation, axis1=-2, axis2=-1) - 1.0
+    twist = rotation - np.swapaxes(rotation, -1, -2)
+    sine_twice = np.sqrt(twist[..., 2, 1] ** 2 + twist[..., 0, 2] ** 2 + twist[..., 1, 0] ** 2)
+    return np.asarray(np.degrees(np.arctan2(sine_twice, cosine_twice)))
+
+
+def nearest_rotation(matrix: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
+    """The rotation (determinant +1) that is nearest to a matrix in Frobenius norm."""
+    left, _, right = np.linalg.svd(matrix)
+    nearest: np.ndarray = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
+    return nearest
+
+
+def skew(vector: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
+    """[v]ₓ, so that ``skew(v) @ x`` is v × x."""
+    x, y, z = vector
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from fullturn.geometry.motion import rigid
+from fullturn.geometry.motion import nearest_rotation, rigid
 
 
 def rigid_or(
@@ -17,7 +17,5 @@ def rigid_or(
     """
     for T in (T_target_source, T_otherwise):
         if np.isfinite(T).all():
-            left, _, right = np.linalg.svd(T[:3, :3])
-            proper = np.diag([1.0, 1.0, np.linalg.det(left @ right)])
-            return rigid(left @ proper @ right, T[:3, 3])
+            return rigid(nearest_rotation(T[:3, :3]), T[:3, 3])
     return np.eye(4)
