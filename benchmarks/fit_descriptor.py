@@ -27,12 +27,12 @@ from torch import Tensor
 from free_shapes import DATA, free_shapes
 from fullturn.data.mixture import mixed_pair
 from fullturn.data.shapes import MeshSource
-from fullturn.errors import FullturnError
 from fullturn.features.surface import distances
 from fullturn.geometry import rigid
 from fullturn.nn.surface import SurfaceNet
 from fullturn.normalize import normalized_clouds
 from fullturn.pose.search import coarse_and_fine
+from logit import collect_shards
 from weights_file import write_weights
 
 LEAST_POINTS = 200
@@ -60,44 +60,27 @@ pairs that were held out:
 
 
 def collect(args: argparse.Namespace) -> None:
-    torch.set_num_threads(1)
     shapes = free_shapes(args.seed, args.data, meshes=2, stretched=True)
-    args.out.mkdir(parents=True, exist_ok=True)
-    for first in range(args.first, args.count, args.shard):
-        path = args.out / f"levels-{args.seed}-{first:06d}.pt"
-        if path.exists():
-            continue
-        rows = []
-        for number in range(first, min(first + args.shard, args.count)):
-            try:
-                row = level_row(shapes, args.seed, number)
-            except FullturnError as error:
-                print(number, type(error).__name__, error, flush=True)
-                continue
-            if row is not None:
-                rows.append(row)
-        torch.save(rows, path)
-        print(path.name, len(rows), flush=True)
+    collect_shards(
+        args, f"levels-{args.seed}", lambda number: level_rows(shapes, args.seed, number)
+    )
 
 
-def level_row(shapes: list[MeshSource], seed: int, number: int) -> dict[str, Any] | None:
-    """A pair as the search sees it, in point spacings; None for one that can't teach anything."""
+def level_rows(shapes: list[MeshSource], seed: int, number: int) -> list[dict[str, Any]]:
+    """A pair as the search sees it, in point spacings; none that can't teach anything."""
     mixed = mixed_pair(shapes, seed=seed, number=number)
     pair = mixed.pair
     if mixed.kind == "unrelated" or min(len(pair.source), len(pair.target)) < LEAST_POINTS:
-        return None
+        return []
     source, target, frame = normalized_clouds(pair.source, pair.target)
     level, _ = coarse_and_fine(source, target)
     T = torch.from_numpy(frame.normalize(pair.T_target_source)).float()
     T[:3, 3] /= level.spacing
-    return {
-        "kind": mixed.kind,
-        "T": T,
-        "clouds": [
-            {"points": one.points / level.spacing, "normals": one.normals, "area": one.area}
-            for one in (level.source, level.target)
-        ],
-    }
+    clouds = [
+        {"points": one.points / level.spacing, "normals": one.normals, "area": one.area}
+        for one in (level.source, level.target)
+    ]
+    return [{"kind": mixed.kind, "T": T, "clouds": clouds}]
 
 
 def fit(args: argparse.Namespace) -> None:
@@ -135,13 +118,12 @@ def fit(args: argparse.Namespace) -> None:
         ]
         step += 1
         schedule.step()
-        if not losses:
-            continue
-        optimizer.zero_grad()
-        loss = torch.stack(losses).mean()
-        loss.backward()
-        optimizer.step()
-        total += loss.item()
+        if losses:
+            optimizer.zero_grad()
+            loss = torch.stack(losses).mean()
+            loss.backward()
+            optimizer.step()
+            total += loss.item()
         if step % 250 == 0:
             seconds = time.process_time() - begin
             print(f"step {step} of {steps}: {total / 250:.3f}, {seconds:.0f} s", flush=True)

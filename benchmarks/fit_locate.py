@@ -15,6 +15,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -24,7 +25,7 @@ import torch
 from torch import Tensor
 
 from free_shapes import DATA, free_shapes
-from fullturn.errors import FullturnError
+from fullturn.data.shapes import MeshSource
 from fullturn.evaluation.layout import Table, markdown
 from fullturn.evaluation.metrics import expected_calibration_error
 from fullturn.geometry.extent import center_and_radius
@@ -38,7 +39,7 @@ from fullturn.normalize import Normalization
 from fullturn.pose.grid import NearestGrid
 from fullturn.pose.verdict import VerdictWeights, log_probabilities, same_pose, verdict_inputs
 from locate_scenes import Scene, scene_of
-from logit import fit_logit, held_out_rows, read_rows, steps_parser
+from logit import collect_shards, fit_logit, held_out_rows, read_rows, steps_parser
 from weights_file import write_weights
 
 CARD = """# locate.safetensors
@@ -96,37 +97,28 @@ def rows_of(
 
 
 def collect(args: argparse.Namespace) -> None:
-    torch.set_num_threads(1)
     sources = free_shapes(args.seed, args.data)
-    args.out.mkdir(parents=True, exist_ok=True)
-    for first in range(args.first, args.count, args.shard):
-        path = args.out / f"parts-{first:06d}.pt"
-        if path.exists():
+    collect_shards(args, "parts", lambda number: part_rows(sources, args.seed, number))
+
+
+def part_rows(sources: list[MeshSource], seed: int, number: int) -> Iterator[dict[str, object]]:
+    """What was measured of each part of the scenes of one model."""
+    rng = np.random.default_rng([seed, number])
+    source = sources[number % len(sources)]
+    meshes = [source.mesh(int(i)) for i in rng.integers(len(source), size=3)]
+    model = prepare(meshes[0])
+    grid = grid_of(model)
+    for kind in KINDS:
+        if kind == "unrelated" and rng.random() < 0.5:
             continue
-        rows: list[dict[str, object]] = []
-        for number in range(first, min(first + args.shard, args.count)):
-            rng = np.random.default_rng([args.seed, number])
-            source = sources[number % len(sources)]
-            meshes = [source.mesh(int(i)) for i in rng.integers(len(source), size=3)]
-            shape = f"{number}"
-            try:
-                model = prepare(meshes[0])
-                grid = grid_of(model)
-                for kind in KINDS:
-                    if kind == "unrelated" and rng.random() < 0.5:
-                        continue
-                    scanned = meshes[1] if kind == "unrelated" else meshes[0]
-                    others = meshes[1 : 2 + rng.integers(2)] if kind == "others" else []
-                    plane = kind in ("plane", "others") or (kind == "unrelated" and number % 4 == 0)
-                    scene = scene_of(scanned, rng, plane=plane, others=others)
-                    if scene is None:
-                        continue
-                    known = bool(rng.random() < 0.5)
-                    rows += rows_of(scene, model, grid, known=known, kind=kind, shape=shape)
-            except FullturnError as error:
-                print(number, type(error).__name__, error, flush=True)
-        torch.save(rows, path)
-        print(path.name, len(rows), flush=True)
+        scanned = meshes[1] if kind == "unrelated" else meshes[0]
+        others = meshes[1 : 2 + rng.integers(2)] if kind == "others" else []
+        plane = kind in ("plane", "others") or (kind == "unrelated" and number % 4 == 0)
+        scene = scene_of(scanned, rng, plane=plane, others=others)
+        if scene is None:
+            continue
+        known = bool(rng.random() < 0.5)
+        yield from rows_of(scene, model, grid, known=known, kind=kind, shape=f"{number}")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -35,7 +35,7 @@ from free_shapes import DATA, free_shapes
 from fullturn.data.mixture import KINDS, mixed_pair
 from fullturn.data.motion import axis_angle_rotation
 from fullturn.data.pair import Pair
-from fullturn.errors import FullturnError
+from fullturn.data.shapes import MeshSource
 from fullturn.evaluation.layout import Table, markdown
 from fullturn.evaluation.metrics import expected_calibration_error
 from fullturn.geometry.cloud import Cloud
@@ -51,7 +51,7 @@ from fullturn.pose.verdict import (
     verdict_inputs,
 )
 from fullturn.pose.verify import AGREEMENT, EVIDENCE, FEATURES, FINE
-from logit import fit_logit, held_out_rows, read_rows, steps_parser
+from logit import collect_shards, fit_logit, held_out_rows, read_rows, steps_parser
 from weights_file import write_weights
 
 CARD = """# verdict.safetensors
@@ -107,44 +107,34 @@ def nearly_aligned(pair: Pair, rng: np.random.Generator) -> Pair:
 
 
 def collect(args: argparse.Namespace) -> None:
-    torch.set_num_threads(1)
     shapes = free_shapes(args.seed, args.data, stretched=True)
-    args.out.mkdir(parents=True, exist_ok=True)
-    for first in range(args.first, args.count, args.shard):
-        kind = "dense" if args.dense else "finalists"
-        path = args.out / f"{kind}-{first:06d}.pt"
-        if path.exists():
-            continue
-        rows = []
-        for number in range(first, min(first + args.shard, args.count)):
-            try:
-                mixed = mixed_pair(shapes, seed=args.seed, number=number, dense=args.dense)
-                pair, limit = mixed.pair, None
-                rng = np.random.default_rng([args.seed, number, 1])
-                if rng.random() < LIMITED:
-                    pair, limit = nearly_aligned(pair, rng), rng.uniform(0.8, 1.2)
-                source, target, T_true = normalized(pair, viewpoints=number % 2 == 0)
-                if args.once:
-                    found = find_finalists(source, target, max_rotation_rad=limit)
-                else:
-                    found, _ = find_and_judge(
-                        source, target, config=SearchConfig(), max_rotation_rad=limit
-                    )
-            except FullturnError as error:
-                print(number, type(error).__name__, error, flush=True)
-                continue
-            rows.append(
-                {
-                    "kind": mixed.kind,
-                    "shape": mixed.shape,
-                    "T": found.T_target_source.float(),
-                    "T_true": None if mixed.kind == "unrelated" else T_true.float(),
-                    "features": found.features,
-                    "signals": some_points(found, rng),
-                }
-            )
-        torch.save(rows, path)
-        print(path.name, len(rows), flush=True)
+    stem = "dense" if args.dense else "finalists"
+    collect_shards(args, stem, lambda number: finalist_rows(shapes, args, number))
+
+
+def finalist_rows(
+    shapes: list[MeshSource], args: argparse.Namespace, number: int
+) -> list[dict[str, Any]]:
+    """What verification measured of a pair's finalists."""
+    mixed = mixed_pair(shapes, seed=args.seed, number=number, dense=args.dense)
+    pair, limit = mixed.pair, None
+    rng = np.random.default_rng([args.seed, number, 1])
+    if rng.random() < LIMITED:
+        pair, limit = nearly_aligned(pair, rng), rng.uniform(0.8, 1.2)
+    source, target, T_true = normalized(pair, viewpoints=number % 2 == 0)
+    if args.once:
+        found = find_finalists(source, target, max_rotation_rad=limit)
+    else:
+        found, _ = find_and_judge(source, target, config=SearchConfig(), max_rotation_rad=limit)
+    row = {
+        "kind": mixed.kind,
+        "shape": mixed.shape,
+        "T": found.T_target_source.float(),
+        "T_true": None if mixed.kind == "unrelated" else T_true.float(),
+        "features": found.features,
+        "signals": some_points(found, rng),
+    }
+    return [row]
 
 
 def some_points(found: Finalists, rng: np.random.Generator) -> Tensor:

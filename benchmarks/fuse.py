@@ -43,8 +43,6 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 import torch
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 from PIL import Image
 
 from fullturn.data.mvp_views import in_unit_ball
@@ -55,6 +53,7 @@ from fullturn.fusion.report import scan_colors
 from fullturn.fusion.result import Fusion
 from fullturn.geometry.motion import move
 from fullturn.io.atomic import write_atomic
+from fullturn.viz.canvas import new_figure
 from fullturn.viz.figures import draw_panel
 from fullturn.viz.scene import thin
 from fuse_cases import (
@@ -232,8 +231,7 @@ def drawing(fusion: Fusion, scans: MovedScans) -> bytes:
         "fused": (front, tones[list(group)]),
         "from behind": ([cloud @ turn for cloud in front], tones[list(group)]),
     }
-    figure = Figure(figsize=(12.0, 4.2), facecolor="white", layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(figsize=(12.0, 4.2), layout="constrained")
     for axes, (name, (clouds, colors)) in zip(figure.subplots(1, 3), panels.items(), strict=True):
         points = np.concatenate(clouds)
         by_point = np.repeat(colors, [len(cloud) for cloud in clouds], axis=0)

@@ -20,7 +20,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
@@ -38,6 +37,7 @@ from fullturn.evaluation.tables import family
 from fullturn.geometry.motion import move
 from fullturn.methods.base import Method
 from fullturn.methods.registry import get
+from fullturn.viz.canvas import new_figure
 from fullturn.viz.figures import INK, SOURCE, TARGET, draw_panel, write_figure
 from fullturn.viz.scene import thin, viewing_axes
 from fullturn.viz.tables import probability
@@ -261,8 +261,7 @@ def _agree(first: Any, second: Any) -> bool:
 def draw(failures: Sequence[Failure]) -> Figure:
     """Each failure under the pose that was found, and under the true one."""
     rows = -(-len(failures) // 2)
-    figure = Figure(figsize=(12.0, 2.9 * rows), facecolor="white", layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(figsize=(12.0, 2.9 * rows), layout="constrained")
     spots = figure.subfigures(rows, 2, squeeze=False).ravel()
     for number, (spot, failure) in enumerate(zip(spots, failures, strict=False), start=1):
         score, pair = failure.score, failure.pair

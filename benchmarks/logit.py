@@ -1,4 +1,4 @@
-"""Fit a conditional logit over poses: what `fit_verdict.py` and `fit_locate.py` share."""
+"""Collect rows in files, and fit a conditional logit over poses: what the fits share."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from fullturn.errors import FullturnError
 from fullturn.pose.verdict import VerdictWeights, log_probabilities
 
 BATCH = 512
@@ -29,6 +30,29 @@ def read_rows(folder: Path) -> Iterator[dict[str, Any]]:
     """All that was collected, in the order of the files' names."""
     for file in sorted(folder.glob("*.pt")):
         yield from torch.load(file, weights_only=False)
+
+
+def collect_shards(
+    args: argparse.Namespace, stem: str, rows_of: Callable[[int], Iterable[dict[str, Any]]]
+) -> None:
+    """Write the rows of the numbers from `first` to `count`, `shard` of them a file.
+
+    Files that are there stay; a number that can't be made is named and left out.
+    """
+    torch.set_num_threads(1)
+    args.out.mkdir(parents=True, exist_ok=True)
+    for first in range(args.first, args.count, args.shard):
+        path = args.out / f"{stem}-{first:06d}.pt"
+        if path.exists():
+            continue
+        rows: list[dict[str, Any]] = []
+        for number in range(first, min(first + args.shard, args.count)):
+            try:
+                rows += rows_of(number)
+            except FullturnError as error:
+                print(number, type(error).__name__, error, flush=True)
+        torch.save(rows, path)
+        print(path.name, len(rows), flush=True)
 
 
 def moments(inputs: Tensor, present: Tensor, held_out: Tensor) -> tuple[Tensor, Tensor]:

@@ -13,13 +13,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 from fullturn.data.mvp_rg import MvpRgPairs
 from fullturn.evaluation.metrics import rotation_error_deg
 from fullturn.geometry.motion import move
+from fullturn.viz.canvas import new_figure
 from fullturn.viz.curves import COLORS, save_curves
 from fullturn.viz.figures import INK, MUTED, SOURCE, TARGET, draw_panel
 from fullturn.viz.scene import viewing_axes
@@ -35,8 +35,7 @@ def draw_pairs(pairs: MvpRgPairs) -> Figure:
     first: dict[str, int] = {}
     for index in range(len(pairs)):
         first.setdefault(pairs.facts(index)["category"], index)
-    figure = Figure(figsize=(2.0 * _EXAMPLES, 4.2), facecolor="white", layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(figsize=(2.0 * _EXAMPLES, 4.2), layout="constrained")
     grid = figure.subplots(2, _EXAMPLES)
     for column, index in zip(grid.T, list(first.values())[:_EXAMPLES], strict=False):
         pair, facts = pairs.pair(index), pairs.facts(index)
@@ -61,8 +60,7 @@ def draw_statistics(pairs: MvpRgPairs) -> Figure:
     for name, values in (("overlap", overlap), ("angle, °", angle_deg)):
         low, middle, high = np.quantile(values, (0.05, 0.5, 0.95))
         print(f"{name}: mean {values.mean():.3g}, quantiles {low:.3g}, {middle:.3g}, {high:.3g}")
-    figure = Figure(figsize=(9.2, 2.8), facecolor="white", layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(figsize=(9.2, 2.8), layout="constrained")
     left, middle_axes, right = figure.subplots(1, 3)
     left.hist(overlap, bins=28, range=(0.3, 1.0), color=COLORS[0])
     middle_axes.hist(angle_deg, bins=36, range=(0.0, 180.0), color=COLORS[0])

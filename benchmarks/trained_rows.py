@@ -33,6 +33,7 @@ from fullturn.methods.learned.weights import RUN_FILE
 from fullturn.training.log import SCORES, STEPS, read_log
 from fullturn.training.recipe import load_recipe
 from fullturn.training.run import CARD, RECIPE
+from fullturn.viz.canvas import new_figure
 from fullturn.viz.curves import COLORS, save_curves
 from fullturn.viz.figures import INK, MUTED
 
@@ -367,11 +368,7 @@ def _categories_table(results: Results) -> Table:
 
 def draw(out: Path) -> Figure:
     """Validation error against pairs seen, of all rows of results and the long runs."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(9.2, 5.6), facecolor="white", layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(figsize=(9.2, 5.6), layout="constrained")
     panels = figure.subplots(2, 2).flat
     for axes, (noise, angle) in zip(panels, SETTINGS, strict=True):
         runs = {f.upper(): result_run(noise, angle, f) for f in FEATURES}

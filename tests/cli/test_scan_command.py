@@ -170,7 +170,7 @@ def test_what_is_no_mesh_is_named(run, tmp_path):
     (tmp_path / "half.off").write_text("OFF\n3 1 0\n0 0 0\n")
     with pytest.raises(ReadError, match="the file ends before"):
         run(tmp_path / "half.off", "--out", out)
-    with pytest.raises(ReadError, match="cannot be read"):
+    with pytest.raises(ReadError, match="there is none"):
         run(tmp_path / "none.ply", "--out", out)
     with pytest.raises(ReadError, match="no suffix"):
         run(tmp_path, "--out", out)

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 
     from fullturn.data.views import RangeView
 
-_MESH_SUFFIXES = (".ply", ".obj", ".stl", ".off", ".glb")
-
 
 def scan(
     mesh: Annotated[
@@ -173,21 +171,15 @@ def _read_mesh(path: Path) -> trimesh.Trimesh:
     import trimesh
 
     from fullturn.errors import InputError, ReadError, one_line
-    from fullturn.io.mesh import read_mesh
-    from fullturn.io.ply import read_ply
+    from fullturn.io.load import MESH_SUFFIXES, read_raw
 
     name, suffix = one_line(path), path.suffix.lower()
-    if suffix not in _MESH_SUFFIXES:
+    if suffix not in MESH_SUFFIXES:
         raise ReadError(
-            f"{name}: expected a mesh that ends in one of {', '.join(_MESH_SUFFIXES)}, found "
+            f"{name}: expected a mesh that ends in one of {', '.join(MESH_SUFFIXES)}, found "
             f"{one_line(suffix) if suffix else 'no suffix'}; rename or convert it"
         )
-    try:
-        data = path.read_bytes()
-    except (OSError, ValueError) as error:  # ValueError: a zero byte in the path
-        reason = getattr(error, "strerror", None) or one_line(error)
-        raise ReadError(f"{name}: cannot be read ({reason}); check the path") from error
-    raw = read_ply(data, name) if suffix == ".ply" else read_mesh(data, suffix, name)
+    raw = read_raw(path)
     if raw.faces is None or len(raw.faces) == 0:
         raise InputError(
             f"{name}: expected a mesh with triangles, found {len(raw.points)} points without any; "

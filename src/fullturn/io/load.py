@@ -34,8 +34,9 @@ _CLOUD_READERS: dict[str, Callable[[bytes, str], Raw]] = {
     ".npy": read_npy,
     ".npz": read_npz,
 }
-_MESH_SUFFIXES = (".obj", ".stl", ".off", ".glb")
-SUFFIXES = (*_CLOUD_READERS, *_MESH_SUFFIXES)
+_MESHES_ALONE = (".obj", ".stl", ".off", ".glb")
+MESH_SUFFIXES = (".ply", *_MESHES_ALONE)
+SUFFIXES = (*_CLOUD_READERS, *_MESHES_ALONE)
 _ACCEPTED = (
     "a file path, an (N, 3) array, nested list or tensor, an object with .points or .vertices, "
     "or a mesh"
@@ -79,7 +80,12 @@ def load_cloud(
     return _load_object(path_or_object, samples, name or "cloud")
 
 
-def _load_file(path: str | os.PathLike[str], samples: int) -> LoadedCloud:
+def read_raw(path: str | os.PathLike[str]) -> Raw:
+    """What a file holds, before points are checked and surfaces sampled.
+
+    Raises:
+        ReadError: a file that is missing, unreadable, truncated, mislabeled or of unknown kind.
+    """
     place = Path(path)
     name = one_line(place)
     suffix = place.suffix.lower()
@@ -101,10 +107,13 @@ def _load_file(path: str | os.PathLike[str], samples: int) -> LoadedCloud:
         ) from error
     if not data:
         raise ReadError(f"{name}: expected points, the file is empty; save or copy it again")
-    if suffix in _MESH_SUFFIXES:
-        raw = read_mesh(data, suffix, name)
-    else:
-        raw = _CLOUD_READERS[suffix](data, name)
+    if suffix in _MESHES_ALONE:
+        return read_mesh(data, suffix, name)
+    return _CLOUD_READERS[suffix](data, name)
+
+
+def _load_file(path: str | os.PathLike[str], samples: int) -> LoadedCloud:
+    name, raw = one_line(path), read_raw(path)
     notes = list(raw.notes)
     if raw.faces is not None and len(raw.faces):
         points, missing = sample_surface(raw.points, raw.faces, samples=samples, name=name)
@@ -120,7 +129,7 @@ def _load_file(path: str | os.PathLike[str], samples: int) -> LoadedCloud:
                 "infinite coordinates; matches count the points that stayed"
             )
     check_pose(points, name, precision=precision_of(raw.points.dtype))
-    return LoadedCloud(np.ascontiguousarray(points), tuple(notes), one_line(place.name))
+    return LoadedCloud(np.ascontiguousarray(points), tuple(notes), one_line(Path(path).name))
 
 
 def _load_object(thing: Any, samples: int, name: str) -> LoadedCloud:

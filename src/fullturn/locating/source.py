@@ -12,8 +12,7 @@ import numpy as np
 
 from fullturn.geometry.extent import center_and_radius, far_from_the_rest
 from fullturn.io import load_cloud
-from fullturn.io.mesh import read_mesh
-from fullturn.io.ply import read_ply
+from fullturn.io.load import MESH_SUFFIXES, read_raw
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,11 +60,9 @@ def load_model(model: Any) -> ModelSource:
 
 
 def _mesh_file(path: Path) -> tuple[np.ndarray, np.ndarray] | None:
-    suffix = path.suffix.lower()
-    if suffix not in (".ply", ".obj", ".stl", ".off", ".glb"):
+    if path.suffix.lower() not in MESH_SUFFIXES:
         return None
-    data = path.read_bytes()
-    raw = read_ply(data, path.name) if suffix == ".ply" else read_mesh(data, suffix, path.name)
+    raw = read_raw(path)
     if raw.faces is None or len(raw.faces) == 0:
         return None
     return raw.points.astype(np.float64), raw.faces
