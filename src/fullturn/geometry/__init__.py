@@ -1,1 +1,1 @@
-"""Rigid motions, neighbors, sampling, normals and overlap: pure functions on tensors."""
+"""Motions, neighbors, sampling, normals and extents: pure functions on tensors and arrays."""
