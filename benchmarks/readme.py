@@ -167,8 +167,8 @@ def descriptor_part(results: Path) -> str:
         rows.append((title, *cells))
     header = (("descriptor",), *((DESCRIPTORS[name],) for name in sets))
     text = wrapped(
-        "**The descriptor network** against the handcrafted descriptor that it replaced, whose "
-        "search didn't look twice yet: share within 5°, and CPU seconds:"
+        "**The descriptor network** against the handcrafted descriptor that it replaced: share "
+        "within 5°, and CPU seconds:"
     )
     return f"{text}\n{markdown(Table('descriptor', 'Descriptor', header, tuple(rows)))}"
 
