@@ -30,7 +30,7 @@ MVP_RG ?= runs/mvp-rg
 METHODS := consensus consensus-histogram icp gicp ransac fgr kiss
 RUNS := modelnet scans mvp-rg mvp-rg-blind calibration ransac-4m
 results: $(VENV)/.installed
-	$(BIN)/fullturn build mvp-rg --out $(MVP_RG) \
+	$(BIN)/fullturn build mvp-rg --train 0 --out $(MVP_RG) \
 		--shapes $(DATA)/meshes_open.npz $(DATA)/meshes_research.npz
 	$(BIN)/fullturn evaluate --out results/modelnet --method $(METHODS) \
 		--protocol all --shapes $(DATA)/modelnet40_subset.npz:dev_eval
