@@ -29,8 +29,8 @@ Sides = tuple[tuple[int, ...], tuple[int, ...]]  # the scans that were registere
 class Edge:
     """One registered pair, frames centered on the scans.
 
-    Lengths are in units of the fusion, those of what is kept of it in the input's unit: which other
-    scans there are says nothing of a pair.
+    Lengths are in units of the fusion. The cache keeps them in the input's unit, so that a pair is
+    the same among any other scans.
     """
 
     target: int
