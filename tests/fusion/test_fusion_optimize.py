@@ -10,6 +10,7 @@ import pytest
 import torch
 from fusion_cases import between, errors, jitter, random_pose, random_poses
 from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 
 from fullturn.errors import DependencyError
 from fullturn.fusion.joint import refine_joint
@@ -126,3 +127,22 @@ def test_scans_that_lie_apart_stay_where_they_are() -> None:
     normals = torch.nn.functional.normalize(cloud, dim=-1)
     refined = refine_joint(start, [cloud] * 2, [normals] * 2, reach=0.1, closest=0.05)
     torch.testing.assert_close(refined, start)
+
+
+def test_a_ring_with_drift_is_refined_until_it_rests() -> None:
+    """Twelve sectors of a faintly rippled ball, each turned a little farther than the last."""
+    rng = np.random.default_rng(3)
+    count, clouds, start = 12, [], []
+    for k in range(count):
+        azimuth = 2 * np.pi / count * (k + rng.uniform(-0.8, 0.8, 2500))
+        z = rng.uniform(-0.7, 0.7, 2500)
+        ring = np.sqrt(1 - z**2)
+        u = np.stack([ring * np.cos(azimuth), ring * np.sin(azimuth), z], 1)
+        ripple = 1 + 0.02 * np.sin(5 * azimuth + 3 * z) + 0.05 * z * np.cos(azimuth)
+        clouds.append(torch.from_numpy(u * ripple[:, None]))
+        turn = Rotation.from_rotvec([0.0, 0.0, np.radians(0.3 * k)]).as_matrix()
+        start.append(rigid.make(torch.from_numpy(turn), torch.zeros(3).double()))
+    normals = [estimate_normals(cloud, k=12, orientation="none").normals for cloud in clouds]
+    refined = refine_joint(torch.stack(start), clouds, normals, reach=0.12, closest=0.05)
+    angle = rigid.rotation_angle_rad(refined[:, :3, :3]).rad2deg()
+    assert float(angle.max()) < 0.4

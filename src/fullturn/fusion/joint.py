@@ -13,7 +13,10 @@ from fullturn.geometry.neighbors import NeighborIndex
 from fullturn.pose.kabsch import nearest_rotation
 from fullturn.pose.residuals import normal_equations
 
-_ROUNDS = 12
+# Rounds begin with about so many points of each scan, as long as steps are longer than _NEAR: a
+# ring of scans closes slowly, in twenty rounds and more.
+_FIRST_POINTS, _FIRST_ROUNDS, _NEAR = 1_000, 60, 1e-3
+_ROUNDS = 30
 _LEAST_SHARE = 0.03  # of a scan's points near the other: below, two scans don't overlap
 # Steps are in radians and in units of the fusion.
 _LARGEST_STEP = 0.1  # small enough for the equations, which are linear in it
@@ -42,22 +45,29 @@ def refine_joint(
     """
     T = T_group_scan.clone()
     trees = [NeighborIndex(cloud) for cloud in points]
-    for _ in range(_ROUNDS):
-        H, g, sigma = _equations(T, points, normals, trees, reach)
-        if not torch.isfinite(sigma):
-            break
-        scale = H.diagonal().mean()
-        H += torch.eye(len(H), dtype=H.dtype, device=H.device) * (_DAMPING * scale + 1e-300)
-        # The first scan is the frame.
-        step = torch.zeros_like(g)
-        step[6:] = -torch.linalg.solve(H[6:, 6:], g[6:])
-        step = step.view(-1, 6).clamp(-_LARGEST_STEP, _LARGEST_STEP)
-        T = rigid.exp_se3(step) @ T
-        T = rigid.make(nearest_rotation(T[:, :3, :3]), T[:, :3, 3])
-        shrunk = max(closest, min(reach, _REACH * float(sigma)))
-        if float(step.abs().max()) < _SETTLED and shrunk > _STEADY * reach:
-            break
-        reach = shrunk
+    few = [max(1, len(cloud) // _FIRST_POINTS) for cloud in points]
+    every_one = [1] * len(points)
+    for every, rounds, enough in (
+        (few, _FIRST_ROUNDS, _NEAR),
+        (every_one, _ROUNDS, _SETTLED),
+    ):
+        for _ in range(rounds):
+            H, g, sigma = _equations(T, points, normals, trees, reach, every)
+            if not torch.isfinite(sigma):
+                break
+            scale = H.diagonal().mean()
+            H += torch.eye(len(H), dtype=H.dtype, device=H.device) * (_DAMPING * scale + 1e-300)
+            # The first scan is the frame.
+            step = torch.zeros_like(g)
+            step[6:] = -torch.linalg.solve(H[6:, 6:], g[6:])
+            step = step.view(-1, 6).clamp(-_LARGEST_STEP, _LARGEST_STEP)
+            T = rigid.exp_se3(step) @ T
+            T = rigid.make(nearest_rotation(T[:, :3, :3]), T[:, :3, 3])
+            shrunk = max(closest, min(reach, _REACH * float(sigma)))
+            is_settled = float(step.abs().max()) < enough and shrunk > _STEADY * reach
+            reach = shrunk
+            if is_settled:
+                break
     return T
 
 
@@ -67,16 +77,18 @@ def _equations(
     normals: Sequence[Tensor],
     trees: Sequence[NeighborIndex],
     reach: float,
+    every: Sequence[int],
 ) -> tuple[Float[Tensor, "m m"], Float[Tensor, " m"], Float[Tensor, ""]]:
     """Gauss–Newton's H and g of small motions of all scans in the common frame, and the noise.
 
-    A pair's residual depends on the difference of two motions, so its 6×6 block enters four times.
+    Of each scan's points, one in `every` is pulled. A pair's residual depends on the difference of
+    two motions, so its 6×6 block enters four times.
     """
     count = len(points)
     found = []
     for i in range(count):
         for j in range(count):
-            near = None if i == j else _near(T, points, normals, trees, i, j, reach)
+            near = None if i == j else _near(T, points, normals, trees, i, j, reach, every[i])
             if near is not None:
                 found.append((i, j, *near))
     H, g = T.new_zeros(count, 6, count, 6), T.new_zeros(count, 6)
@@ -105,18 +117,20 @@ def _near(
     i: int,
     j: int,
     reach: float,
+    every: int,
 ) -> tuple[Tensor, Tensor, Tensor] | None:
     """Scan i's points near scan j: where, how far from their partner, and the partner's normal."""
     T_j_i = rigid.invert(T[j]) @ T[i]
-    moved = rigid.apply(T_j_i, points[i])
+    own_points, own_normals = points[i][::every], normals[i][::every]
+    moved = rigid.apply(T_j_i, own_points)
     partner, _ = trees[j].nearest(moved, within=reach)
     near = partner >= 0
     if float(near.double().mean()) < _LEAST_SHARE:
         return None
     R_i = T[i, :3, :3]
-    own = normals[i][near] @ T_j_i[:3, :3].mT
+    own = own_normals[near] @ T_j_i[:3, :3].mT
     other = normals[j][partner[near]]
     alike = (own * other).sum(-1).abs() > _ALIKE
     difference = (moved[near] - points[j][partner[near]])[alike] @ T[j, :3, :3].mT
-    at = points[i][near][alike] @ R_i.mT + T[i, :3, 3]
+    at = own_points[near][alike] @ R_i.mT + T[i, :3, 3]
     return at, difference, other[alike] @ T[j, :3, :3].mT
