@@ -73,7 +73,7 @@ def register_many(
         try:
             if min(most, len(todo)) <= 1:
                 for number, pair in enumerate(todo):
-                    done(number, attempt(partial(work, pair)))
+                    done(number, attempt(work, pair))
             else:
                 with Crew(work, workers=min(most, len(todo))) as crew:
                     crew.run(todo, done, portable=_portable)

@@ -7,12 +7,12 @@ import os
 import signal
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from functools import partial
 from multiprocessing.connection import Connection, wait
-from typing import Any, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 from fullturn.errors import FullturnError, InputError, one_line, whole_number
 
+P = ParamSpec("P")
 T = TypeVar("T")
 
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -60,7 +60,7 @@ class Crew:
         def feed(worker: _Worker) -> None:
             worker.number = None
             for number, task in waiting:
-                sent = attempt(partial(_Worker.give, worker, number, portable, task))
+                sent = attempt(worker.give, number, portable, task)
                 if sent is None:
                     return
                 done(number, sent)
@@ -167,13 +167,13 @@ def _serve(pipe: Connection, work: Callable[[Any], Any]) -> None:
             task = pipe.recv()
         except (EOFError, BrokenPipeError):
             return  # the parent is gone, or has let go
-        answer = attempt(partial(work, task))
+        answer = attempt(work, task)
 
 
-def attempt(work: Callable[[], T]) -> T | FullturnError:
-    """What `work` returns, or whatever it raises as an error of this one task."""
+def attempt(work: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T | FullturnError:
+    """What ``work(…)`` returns, or whatever it raises as an error of this one task."""
     try:
-        return work()
+        return work(*args, **kwargs)
     except FullturnError as error:
         return error.with_traceback(None)  # whose frames would keep the clouds in memory
     # A fault in one task must not cost the others their results.

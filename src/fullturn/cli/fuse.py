@@ -12,6 +12,8 @@ from fullturn.cli.errors import tell
 from fullturn.cli.minimum import check_minimum
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from fullturn.fusion.result import Fusion
 
 
@@ -82,12 +84,12 @@ def fuse(
         cache=cache,
         progress=True,
     )
-    written = [out]
-    save_cloud(out, fusion.points)
+    written = {out: fusion.points}
     for number, group in enumerate(fusion.groups[1:], start=2):
         if len(group) > 1:
-            written.append(_of_group(out, number))
-            save_cloud(written[-1], fusion.merged[number - 1].points)
+            written[_of_group(out, number)] = fusion.merged[number - 1].points
+    for path, points in written.items():
+        save_cloud(path, points)
     for path in others:
         if path not in written and path.exists():
             tell(f"note: {path} was there before and is none of these groups")
@@ -178,7 +180,7 @@ def _content(fusion: Fusion, paths: list[str]) -> dict[str, Any]:
     }
 
 
-def _print_table(fusion: Fusion, written: list[Path]) -> None:
+def _print_table(fusion: Fusion, written: dict[Path, np.ndarray]) -> None:
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
@@ -206,9 +208,5 @@ def _print_table(fusion: Fusion, written: list[Path]) -> None:
     for note in fusion.notes:
         console.print(Text(f"note: {note}"))
     files = ", ".join(map(str, written))
-    points = sum(
-        len(merged.points)
-        for group, merged in zip(fusion.groups, fusion.merged, strict=True)
-        if group is fusion.groups[0] or len(group) > 1
-    )
-    console.print(Text(f"{points:,} points in {files}; {fusion.seconds['total']:.1f} s"))
+    count = sum(map(len, written.values()))
+    console.print(Text(f"{count:,} points in {files}; {fusion.seconds['total']:.1f} s"))

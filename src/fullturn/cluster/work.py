@@ -7,7 +7,7 @@ import threading
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cache, partial
+from functools import cache
 from typing import Any
 
 import torch
@@ -104,16 +104,14 @@ def _outcome(row: PairRow, job: Job) -> Outcome:
     source, target = (os.path.join(job.folder, path) for path in (row.source, row.target))
     try:
         return attempt(
-            partial(
-                register,
-                source,
-                target,
-                method=job.method,
-                seed=job.seed,
-                source_viewpoint=row.source_viewpoint,
-                target_viewpoint=row.target_viewpoint,
-                max_rotation_deg=row.max_rotation_deg,
-            )
+            register,
+            source,
+            target,
+            method=job.method,
+            seed=job.seed,
+            source_viewpoint=row.source_viewpoint,
+            target_viewpoint=row.target_viewpoint,
+            max_rotation_deg=row.max_rotation_deg,
         )
     except SystemExit as error:  # which would end the worker
         return FullturnError(f"unexpected SystemExit: {one_line(error)}")

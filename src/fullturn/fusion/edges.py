@@ -146,7 +146,7 @@ class Registrar:
 
         if self._crew is None or len(tasks) < 2:
             for place, task in enumerate(tasks):
-                done(place, attempt(partial(self._work, task)))
+                done(place, attempt(self._work, task))
         else:
             self._crew.run(tasks, done, portable=_portable)
         return [edge for edge in edges if edge is not None]

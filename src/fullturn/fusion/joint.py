@@ -10,7 +10,7 @@ from torch import Tensor
 
 from fullturn.geometry import rigid
 from fullturn.geometry.neighbors import NeighborIndex
-from fullturn.pose.kabsch import nearest_rotation
+from fullturn.pose.kabsch import nearest_motion
 from fullturn.pose.residuals import normal_equations
 
 # Rounds begin with about so many points of each scan, as long as steps are longer than _NEAR: a
@@ -46,29 +46,31 @@ def refine_joint(
     T = T_group_scan.clone()
     trees = [NeighborIndex(cloud) for cloud in points]
     few = [max(1, len(cloud) // _FIRST_POINTS) for cloud in points]
-    every_one = [1] * len(points)
     for every, rounds, enough in (
         (few, _FIRST_ROUNDS, _NEAR),
-        (every_one, _ROUNDS, _SETTLED),
+        ([1] * len(points), _ROUNDS, _SETTLED),
     ):
         for _ in range(rounds):
             H, g, sigma = _equations(T, points, normals, trees, reach, every)
             if not torch.isfinite(sigma):
                 break
-            scale = H.diagonal().mean()
-            H += torch.eye(len(H), dtype=H.dtype, device=H.device) * (_DAMPING * scale + 1e-300)
-            # The first scan is the frame.
-            step = torch.zeros_like(g)
-            step[6:] = -torch.linalg.solve(H[6:, 6:], g[6:])
-            step = step.view(-1, 6).clamp(-_LARGEST_STEP, _LARGEST_STEP)
-            T = rigid.exp_se3(step) @ T
-            T = rigid.make(nearest_rotation(T[:, :3, :3]), T[:, :3, 3])
+            step = _step(H, g)
+            T = nearest_motion(rigid.exp_se3(step) @ T)
             shrunk = max(closest, min(reach, _REACH * float(sigma)))
             is_settled = float(step.abs().max()) < enough and shrunk > _STEADY * reach
             reach = shrunk
             if is_settled:
                 break
     return T
+
+
+def _step(H: Float[Tensor, "m m"], g: Float[Tensor, " m"]) -> Float[Tensor, "n 6"]:
+    """Motions of all scans; none of the first one, which is the frame."""
+    damping = _DAMPING * H.diagonal().mean() + 1e-300
+    damped = H + torch.eye(len(H), dtype=H.dtype, device=H.device) * damping
+    step = torch.zeros_like(g)
+    step[6:] = -torch.linalg.solve(damped[6:, 6:], g[6:])
+    return step.view(-1, 6).clamp(-_LARGEST_STEP, _LARGEST_STEP)
 
 
 def _equations(

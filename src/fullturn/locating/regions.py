@@ -52,18 +52,18 @@ def regions(
     return found
 
 
-def _joined(points: np.ndarray, pieces: list[np.ndarray], diameter: float) -> list[np.ndarray]:
+def _joined(points: np.ndarray, parts: list[np.ndarray], diameter: float) -> list[np.ndarray]:
     """Pieces, the largest first, each with the smaller ones that are near and fit in with it."""
-    free = list(range(len(pieces)))
+    free = list(range(len(parts)))
     groups = []
     while free:
-        group = pieces[free.pop(0)]
+        group = parts[free.pop(0)]
         tree = cKDTree(points[group])
         for other in list(free):
-            gap = tree.query(points[pieces[other]], distance_upper_bound=_GAP * diameter)[0].min()
+            gap = tree.query(points[parts[other]], distance_upper_bound=_GAP * diameter)[0].min()
             if not np.isfinite(gap):
                 continue
-            both = np.concatenate([group, pieces[other]])
+            both = np.concatenate([group, parts[other]])
             if extent(torch.from_numpy(points[both])) <= diameter:
                 group = both
                 tree = cKDTree(points[group])

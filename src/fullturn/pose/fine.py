@@ -10,7 +10,7 @@ from torch import Tensor
 
 from fullturn.geometry import rigid
 from fullturn.geometry.cloud import Cloud
-from fullturn.pose.kabsch import nearest_rotation
+from fullturn.pose.kabsch import nearest_motion
 from fullturn.pose.residuals import gauss_newton_step, normal_equations
 
 # The share of mutual nearest neighbors at which points aren't trusted to be the same ones, and that
@@ -64,7 +64,7 @@ def refine_fine(
             cutoff = min(cutoff, max(residuals.reach, 4.0 * moved))
             if settled:
                 break
-    return rigid.make(nearest_rotation(T[:3, :3]), T[:3, 3])
+    return nearest_motion(T)
 
 
 def measure_residuals(

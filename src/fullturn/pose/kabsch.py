@@ -9,6 +9,8 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from fullturn.geometry import rigid
+
 
 def weighted_kabsch(
     source: Float[Tensor, "*batch n 3"],
@@ -51,6 +53,11 @@ def nearest_rotation(matrix: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*bat
     """The rotation (determinant +1) that is nearest to a 3×3 matrix in Frobenius norm."""
     rotation: Tensor = _NearestRotation.apply(matrix)
     return rotation
+
+
+def nearest_motion(T: Float[Tensor, "*batch 4 4"]) -> Float[Tensor, "*batch 4 4"]:
+    """The motion without the rounding of many products: its rotation is one to the last digit."""
+    return rigid.make(nearest_rotation(T[..., :3, :3]), T[..., :3, 3])
 
 
 class _NearestRotation(torch.autograd.Function):

@@ -19,7 +19,7 @@ from fullturn.pose import hypotheses
 from fullturn.pose.contact import contacts, prepare_surface
 from fullturn.pose.evidence import PointSignals, evidence, point_signals
 from fullturn.pose.grid import NearestGrid
-from fullturn.pose.kabsch import nearest_rotation
+from fullturn.pose.kabsch import nearest_motion
 from fullturn.pose.levels import LevelPair, level_pair, thin_pair
 from fullturn.pose.refine import lay_on_points, refine_poses
 from fullturn.pose.similarity import Similarity, histogram_similarity, network_similarity
@@ -171,7 +171,7 @@ class Search:
         features, signals = _measured(T, self._fine, self._coarse, self._clouds, self._learned)
         self._clock.lap("verify")
         T = T.double()
-        T = rigid.make(nearest_rotation(T[:, :3, :3]), T[:, :3, 3])
+        T = nearest_motion(T)
         seconds = dict(self._clock.seconds)
         return Finalists(T, features, signals, self._fine.spacing, seconds, self._notes)
 

@@ -18,7 +18,7 @@ from fullturn.geometry.neighbors import NeighborIndex
 from fullturn.geometry.normals import estimate_normals
 from fullturn.geometry.sampling import point_spacing, voxel_sample
 from fullturn.methods.base import Estimate, Method, Traits
-from fullturn.pose.kabsch import nearest_rotation, weighted_kabsch
+from fullturn.pose.kabsch import nearest_motion, weighted_kabsch
 from fullturn.pose.residuals import gauss_newton_step, normal_equations
 
 
@@ -124,10 +124,10 @@ def _align(source: _Side, target: _Side, config: IcpConfig) -> Tensor:
             if moving < (config.tolerance if last else 0.01 * scale):
                 break
         if last:
-            return rigid.make(nearest_rotation(T[:3, :3]), T[:3, 3])
+            return nearest_motion(T)
         residual, near = _residuals(*_partners(source, target, T), gate)
         if not bool(near.any()):
-            return rigid.make(nearest_rotation(T[:3, :3]), T[:3, 3])
+            return nearest_motion(T)
         noise = max(1.4826 * float(residual[near].median()), 1e-6 * spacing)
         last = config.shrink * scale <= noise
         scale = max(config.shrink * scale, noise)

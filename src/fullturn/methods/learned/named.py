@@ -14,13 +14,12 @@ from jaxtyping import Float
 from torch import Tensor
 
 from fullturn.errors import InputError
-from fullturn.geometry import rigid
 from fullturn.geometry.cloud import Cloud
 from fullturn.methods.base import Estimate, Method
 from fullturn.methods.consensus import Consensus
 from fullturn.methods.learned.weights import RUN_FILE, find_weights, load_gmcnet
 from fullturn.nn.clouds import CloudBatch
-from fullturn.pose.kabsch import nearest_rotation
+from fullturn.pose.kabsch import nearest_motion
 from fullturn.pose.levels import LevelPair, thin_pair
 
 DEFAULT_WEIGHTS = "noisy"
@@ -58,7 +57,7 @@ class Gmcnet(_Learned):
         T = found.T_target_source.double()
         if not bool(T.isfinite().all()):
             T = torch.eye(4).to(T)[None]
-        return Estimate(rigid.make(nearest_rotation(T[:, :3, :3]), T[:, :3, 3]))
+        return Estimate(nearest_motion(T))
 
 
 class GmcnetConsensus(_Learned, Consensus):
