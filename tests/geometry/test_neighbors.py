@@ -11,7 +11,13 @@ from scipy.spatial import cKDTree
 
 from fullturn.errors import InputError
 from fullturn.geometry import neighbors
-from fullturn.geometry.neighbors import NeighborIndex, gather, knn, radius_neighbors
+from fullturn.geometry.neighbors import (
+    NearestTracker,
+    NeighborIndex,
+    gather,
+    knn,
+    radius_neighbors,
+)
 
 
 def cloud(name: str, n: int = 200) -> torch.Tensor:
@@ -167,3 +173,61 @@ def test_bad_input_is_named(points: torch.Tensor, k: int, message: str) -> None:
 def test_bad_radius_is_named() -> None:
     with pytest.raises(InputError, match="radius must be positive, got 0"):
         radius_neighbors(torch.zeros(1, 3), torch.zeros(1, 3), 0.0, max_neighbors=1)
+
+
+@pytest.mark.parametrize("within", [0.02, 0.3, 5.0])
+@pytest.mark.parametrize("step", [1e-4, 0.02, 0.5])
+def test_a_tracker_finds_what_a_search_finds(within: float, step: float) -> None:
+    rng = np.random.default_rng(4)
+    index = NeighborIndex(torch.from_numpy(rng.normal(size=(400, 3))))
+    queries = rng.normal(size=(300, 3)) * rng.choice([0.5, 3.0], size=(300, 1))
+    tracker = NearestTracker(index)
+    for reach in (within, 0.7 * within, 0.7 * within, 1.5 * within, within):
+        found = tracker.nearest(queries, within=reach)
+        expected, _ = index.nearest(torch.from_numpy(queries), within=reach)
+        near = expected.numpy() >= 0
+        np.testing.assert_array_equal(found[near], expected.numpy()[near])
+        distance = np.linalg.norm(queries - index.points.numpy()[found], axis=1)
+        assert (distance[~near] > reach).all()
+        queries = queries + step * rng.normal(size=queries.shape)
+
+
+def test_a_tracker_searches_only_for_what_has_moved(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(5)
+    index = NeighborIndex(torch.from_numpy(rng.normal(size=(400, 3))))
+    queries = rng.normal(size=(300, 3))
+    tracker = NearestTracker(index)
+    tracker.nearest(queries, within=0.5)
+    asked: list[int] = []
+    search = index.knn
+
+    def counted(at: torch.Tensor, k: int, **reach: float) -> tuple[torch.Tensor, torch.Tensor]:
+        asked.append(len(at))
+        return search(at, k, **reach)
+
+    monkeypatch.setattr(index, "knn", counted)
+    queries[:7] = rng.normal(size=(7, 3))
+    tracker.nearest(queries + 1e-9, within=0.5)
+    assert asked == [7]
+
+
+def test_a_tracker_of_one_point() -> None:
+    tracker = NearestTracker(NeighborIndex(torch.zeros(1, 3).double()))
+    queries = np.array([[0.1, 0, 0], [3.0, 0, 0]])
+    for shift in (0.0, -2.5, 0.0):
+        found = tracker.nearest(queries + np.array([shift, 0, 0]), within=1.0)
+        near = np.abs(queries[:, 0] + shift) <= 1.0
+        assert (found[near] == 0).all()
+
+
+@pytest.mark.parametrize("within", [0.05, 0.5, 2.0])
+def test_a_reach_leaves_out_what_lies_beyond(within: float) -> None:
+    rng = np.random.default_rng(6)
+    points, queries = (torch.from_numpy(rng.normal(size=(n, 3))) for n in (500, 200))
+    queries[::3] *= 20
+    index = NeighborIndex(points)
+    found, distance = index.knn(queries, 3, within=within)
+    expected, length = index.knn(queries, 3)
+    near = length <= within
+    assert bool((found == torch.where(near, expected, -1)).all())
+    torch.testing.assert_close(distance, torch.where(near, length, torch.inf))

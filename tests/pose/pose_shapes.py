@@ -11,6 +11,9 @@ from torch import Tensor
 from fullturn.data.procedural import demo_object
 from fullturn.data.surface import sample_faces
 from fullturn.geometry import rigid
+from fullturn.geometry.neighbors import knn
+from fullturn.geometry.sampling import local_area
+from fullturn.pose.levels import Level
 
 
 @cache
@@ -22,6 +25,12 @@ def teapot(count: int, seed: int = 0) -> tuple[Tensor, Tensor]:
     order = rng.permutation(count)
     normals = np.asarray(mesh.face_normals)[face]
     return torch.from_numpy(points[order]), torch.from_numpy(normals[order])
+
+
+def level_of(points: Tensor, normals: Tensor) -> Level:
+    """A level with the normals that it is given."""
+    around, distance = knn(points, points, min(20, len(points)))
+    return Level(points, normals, local_area(points, distance=distance), around)
 
 
 def random_motions(

@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from pose_shapes import perturbations, random_motions, teapot
+from pose_shapes import level_of, perturbations, random_motions, teapot
 from scipy.spatial import cKDTree
 from torch import Tensor
 
 from fullturn.geometry import rigid
-from fullturn.geometry.sampling import local_area
 from fullturn.pose import evidence as module
 from fullturn.pose.contact import contacts, prepare_surface
 from fullturn.pose.evidence import SIGNALS, PointSignals, evidence, point_signals
@@ -26,7 +25,7 @@ def part(count: int, seed: int, T: Tensor) -> Level:
     points, normals = teapot(count, seed)
     kept = points[:, 1] > -0.2 if seed % 2 else points[:, 1] < 0.2
     points, normals = rigid.apply(T, points[kept]), normals[kept] @ T[:3, :3].mT
-    return Level(points, normals, local_area(points))
+    return level_of(points, normals)
 
 
 def measured(

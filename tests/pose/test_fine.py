@@ -13,7 +13,8 @@ from fullturn.data.protocols import PROTOCOLS
 from fullturn.data.shapes import ProceduralShapes
 from fullturn.geometry import rigid
 from fullturn.geometry.cloud import Cloud
-from fullturn.pose.fine import measure_residuals, refine_fine
+from fullturn.pose.closest_pairs import ClosestPairs, Residuals
+from fullturn.pose.fine import refine_fine
 
 T_TRUE = random_motions(1, seed=5)[0]
 
@@ -37,6 +38,10 @@ def clouds(
         points = points[torch.from_numpy(rng.permutation(len(points)))]
         parts.append(points + noise * torch.from_numpy(rng.normal(size=points.shape)))
     return Cloud(parts[0]), Cloud(rigid.apply(T, parts[1]))
+
+
+def residuals_at(T: Tensor, source: Cloud, target: Cloud, *, cutoff: float) -> Residuals:
+    return ClosestPairs(source, target).residuals(T.numpy(), cutoff=cutoff)
 
 
 def refined(source: Cloud, target: Cloud, T: Tensor) -> Tensor:
@@ -112,7 +117,7 @@ def test_the_pose_is_rigid_and_equivariant() -> None:
 @pytest.mark.parametrize("noise", [1e-4, 1e-3, 5e-3])
 def test_the_noise_is_measured(noise: float) -> None:
     source, target = clouds(3000, noise=noise)
-    residuals = measure_residuals(T_TRUE, source, target, cutoff=0.08)
+    residuals = residuals_at(T_TRUE, source, target, cutoff=0.08)
     # Differences of two noisy points.
     assert residuals.sigma_normal == pytest.approx(noise * 2**0.5, rel=0.25)
     assert residuals.sigma_tangent == pytest.approx(noise * 2**0.5, rel=0.25)
@@ -120,28 +125,42 @@ def test_the_noise_is_measured(noise: float) -> None:
 
 
 def test_independent_samples_are_not_trusted_as_points() -> None:
-    residuals = measure_residuals(T_TRUE, *clouds(3000, same=False, noise=1e-3), cutoff=0.08)
+    residuals = residuals_at(T_TRUE, *clouds(3000, same=False, noise=1e-3), cutoff=0.08)
     assert residuals.sigma_tangent > 3 * residuals.sigma_normal
     assert residuals.point_share < 0.05
 
 
 def test_the_problem_does_not_depend_on_the_target_frame() -> None:
     source, target = clouds(600, same=False, noise=0.01)
-    here = measure_residuals(T_TRUE, source, target, cutoff=0.1)
+    here = residuals_at(T_TRUE, source, target, cutoff=0.1)
     h = random_motions(1, seed=7)[0]
     turned = Cloud(rigid.apply(h, target.points))
-    there = measure_residuals(h @ T_TRUE, source, turned, cutoff=0.1)
-    torch.testing.assert_close(here.H, there.H, rtol=1e-6, atol=1e-6 * float(here.H.max()))
-    torch.testing.assert_close(here.g, there.g, rtol=1e-6, atol=1e-6 * float(here.H.max()))
+    there = residuals_at(h @ T_TRUE, source, turned, cutoff=0.1)
+    np.testing.assert_allclose(there.H, here.H, rtol=1e-6, atol=1e-6 * here.H.max())
+    np.testing.assert_allclose(there.g, here.g, rtol=1e-6, atol=1e-6 * here.H.max())
     assert here.reach == pytest.approx(there.reach)
+
+
+def test_pairs_that_are_followed_are_those_that_are_found_anew() -> None:
+    """Pose after pose, ever closer, one object against a new one each time."""
+    source, target = clouds(900, same=False, missing=0.3, noise=0.01)
+    followed = ClosestPairs(source, target, every=2)
+    for step, shift in enumerate(perturbations(12, seed=9, angle_deg=3.0, length=0.03)):
+        scale = 0.6**step
+        T = T_TRUE @ rigid.exp_se3(scale * rigid.log_se3(shift))
+        cutoff = 0.05 + 0.1 * scale
+        found = followed.residuals(T.numpy(), cutoff=cutoff)
+        anew = ClosestPairs(source, target, every=2).residuals(T.numpy(), cutoff=cutoff)
+        for name, value in vars(anew).items():
+            np.testing.assert_array_equal(getattr(found, name), value, err_msg=name)
 
 
 def test_nothing_near_leaves_the_pose_and_no_information() -> None:
     source, target = clouds(200)
     away = rigid.make(torch.eye(3).double(), torch.tensor([50.0, 0, 0]).double())
-    residuals = measure_residuals(away, source, target, cutoff=0.1)
-    assert float(residuals.H.abs().max()) == 0.0
-    assert float(residuals.g.abs().max()) == 0.0
+    residuals = residuals_at(away, source, target, cutoff=0.1)
+    assert not residuals.H.any()
+    assert not residuals.g.any()
     torch.testing.assert_close(refine_fine(away, source, target, start=0.1), away)
 
 

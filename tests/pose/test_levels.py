@@ -9,8 +9,10 @@ from pose_shapes import teapot
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from fullturn.geometry.sampling import point_spacing
-from fullturn.pose.levels import level_pair, thin_pair
+from fullturn.geometry.cloud import Cloud
+from fullturn.geometry.neighbors import knn
+from fullturn.geometry.sampling import local_area, point_spacing
+from fullturn.pose.levels import LevelPair, level_pair, thin_pair, whole_pair
 
 
 def shuffled(points: Tensor, seed: int = 0) -> Tensor:
@@ -122,19 +124,27 @@ def test_copies_count_once(limit: int) -> None:
 def test_a_cloud_smaller_than_a_voxel_keeps_some_points(size: float) -> None:
     small, large = thin_pair(teapot(3_000, 1)[0] * size, teapot(3_000, 2)[0], limit=800)
     assert len(large) <= 800
-    level_pair(small, large)
+    assert len(small) >= 4
+    level_pair(small, large, support=(Cloud(small), Cloud(large)))
 
 
 def test_a_level_has_normals_and_the_coarser_spacing() -> None:
     source, normals = teapot(1_500, 1)
     target, _ = teapot(400, 2)
-    pair = level_pair(source, target)
+    pair = whole_pair(Cloud(source), Cloud(target))
     for level, points in ((pair.source, source), (pair.target, target)):
+        rows = torch.from_numpy(np.lexsort(points.numpy().T[::-1]))
         assert level.points.dtype == level.normals.dtype == torch.float32
-        torch.testing.assert_close(level.points, points.float())
+        torch.testing.assert_close(level.points, points[rows].float())
         torch.testing.assert_close(level.normals.norm(dim=1), torch.ones(len(points)))
+        index, distance = knn(points[rows], points[rows], 20)
+        torch.testing.assert_close(level.around, index)
+        torch.testing.assert_close(level.area, local_area(points[rows], distance=distance).float())
+        outwards = level.points - level.points.mean(0)
+        assert float((level.normals * outwards).sum(1).min()) > -1e-6
     assert pair.spacing == pytest.approx(point_spacing(target))
-    cosine = (pair.source.normals.double() * normals).sum(1).abs()
+    rows = torch.from_numpy(np.lexsort(source.numpy().T[::-1]))
+    cosine = (pair.source.normals.double() * normals[rows]).sum(1).abs()
     assert float(cosine.median()) > 0.98
 
 
@@ -143,19 +153,18 @@ def test_support_sharpens_the_normals_of_a_thinned_cloud() -> None:
     thinned, _ = thin_pair(fine, fine, limit=400)
     truth = teapot(6_000, 1)[1][torch.from_numpy(cKDTree(fine.numpy()).query(thinned.numpy())[1])]
 
-    def agreement(support: tuple[Tensor, Tensor] | None) -> float:
-        level = level_pair(thinned, thinned, support=support).source
-        return float((level.normals.double() * truth).sum(1).abs().mean())
+    def agreement(pair: LevelPair) -> float:
+        return float((pair.source.normals.double() * truth).sum(1).abs().mean())
 
-    assert agreement((fine, fine)) > agreement(None)
-    assert level_pair(thinned, thinned, support=(fine, fine)).spacing == pytest.approx(
-        point_spacing(thinned)
-    )
+    sharp = level_pair(thinned, thinned, support=(Cloud(fine), Cloud(fine)))
+    blunt = whole_pair(Cloud(thinned), Cloud(thinned))
+    assert agreement(sharp) > agreement(blunt)
+    assert sharp.spacing == blunt.spacing == pytest.approx(point_spacing(thinned))
 
 
 @pytest.mark.parametrize("count", [3, 4, 7])
 def test_a_handful_of_points_makes_a_level(count: int) -> None:
     points, _ = teapot(count, 1)
-    pair = level_pair(*thin_pair(points, points, limit=800))
+    pair = whole_pair(Cloud(points), Cloud(points))
     assert len(pair.source.points) == count
     assert bool(torch.isfinite(pair.source.normals).all())

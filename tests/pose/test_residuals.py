@@ -7,7 +7,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from fullturn.pose.residuals import gauss_newton_step, normal_equations
+from fullturn.pose.closest_pairs import normal_equations
+from fullturn.pose.residuals import gauss_newton_step, plane_equations
 
 
 def problem(count: int, *, seed: int = 0, batch: tuple[int, ...] = ()) -> tuple[Tensor, ...]:
@@ -27,10 +28,25 @@ def cost(
     return (weight * squares).sum() / 2
 
 
+def in_numpy(
+    at: Tensor, difference: Tensor, normal: Tensor, weight: Tensor, *, share: float
+) -> tuple[Tensor, Tensor]:
+    """Of one pose, planes and points; the others are of planes alone, for many poses."""
+    planes = (rows.T.numpy() for rows in (at, difference, normal))
+    H, g = normal_equations(*planes, weight.numpy(), point_share=share)
+    return torch.from_numpy(H), torch.from_numpy(g)
+
+
+def in_torch(
+    at: Tensor, difference: Tensor, normal: Tensor, weight: Tensor
+) -> tuple[Tensor, Tensor]:
+    return plane_equations(*(rows.movedim(-1, 0) for rows in (at, difference, normal)), weight)
+
+
 @pytest.mark.parametrize("share", [0.0, 0.05, 0.3, 1.0])
 def test_agrees_with_automatic_differentiation(share: float) -> None:
     data = problem(30)
-    H, g = normal_equations(*data, point_share=share)
+    H, g = in_numpy(*data, share=share)
     origin = torch.zeros(6, dtype=torch.float64)
 
     def function(motion: Tensor) -> Tensor:
@@ -50,31 +66,34 @@ def test_agrees_with_explicit_jacobians(share: float) -> None:
         W = (1 - share) * np.outer(n, n) + share * np.eye(3)
         H_sum += w * J.T @ W @ J
         g_sum += w * J.T @ W @ r
-    H, g = normal_equations(at, difference, normal, weight, point_share=share)
+    H, g = in_numpy(at, difference, normal, weight, share=share)
     np.testing.assert_allclose(H, H_sum, atol=1e-12)
     np.testing.assert_allclose(g, g_sum, atol=1e-12)
 
 
-def test_a_batch_equals_the_loop_and_weightless_points_are_nothing() -> None:
+def test_planes_alone_are_the_same_for_one_pose_and_for_many() -> None:
     data = problem(20, seed=2, batch=(2, 3))
-    H, g = normal_equations(*data, point_share=0.2)
+    H, g = in_torch(*data)
     assert H.shape == (2, 3, 6, 6)
     assert g.shape == (2, 3, 6)
     for i in np.ndindex(2, 3):
-        H_one, g_one = normal_equations(*(x[i] for x in data), point_share=0.2)
+        H_one, g_one = in_numpy(*(x[i] for x in data), share=0.0)
         torch.testing.assert_close(H[i], H_one)
         torch.testing.assert_close(g[i], g_one)
-    at, difference, normal, weight = (x[0, 0] for x in data)
-    weight = weight.clone()
+
+
+@pytest.mark.parametrize("share", [0.0, 0.2])
+def test_weightless_points_are_nothing(share: float) -> None:
+    at, difference, normal, weight = problem(20, seed=2)
     weight[12:] = 0.0
-    whole = normal_equations(at, difference, normal, weight, point_share=0.2)
-    part = normal_equations(at[:12], difference[:12], normal[:12], weight[:12], point_share=0.2)
+    whole = in_numpy(at, difference, normal, weight, share=share)
+    part = in_numpy(at[:12], difference[:12], normal[:12], weight[:12], share=share)
     torch.testing.assert_close(whole, part)
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 def test_the_step_solves_a_regular_system(dtype: torch.dtype) -> None:
-    H, g = normal_equations(*(x.to(dtype) for x in problem(200, seed=3)), point_share=0.3)
+    H, g = in_torch(*(x.to(dtype) for x in problem(200, seed=3)))
     expected = -np.linalg.solve(H.double().numpy(), g.double().numpy())
     step = gauss_newton_step(H, g, damping=1e-6)
     np.testing.assert_allclose(step.double().numpy(), expected, rtol=2e-3, atol=1e-6)
@@ -89,7 +108,7 @@ def test_open_directions_stay_still(dtype: torch.dtype, scale: float) -> None:
     at = at.to(dtype)
     up = torch.tensor([0.0, 0.0, 1.0], dtype=dtype).expand(50, 3)
     weight = torch.full((50,), scale, dtype=dtype)
-    H, g = normal_equations(at, 0.02 * up, up, weight, point_share=0.0)
+    H, g = in_torch(at, 0.02 * up, up, weight)
     assert int(torch.linalg.matrix_rank(H.double(), hermitian=True, rtol=1e-5)) == 3
     step = gauss_newton_step(H, g, damping=1e-3)
     torch.testing.assert_close(step[5], torch.tensor(-0.02, dtype=dtype), rtol=1e-2, atol=0)

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
-from pose_shapes import perturbations, random_motions, teapot
+from pose_shapes import level_of, perturbations, random_motions, teapot
 from scipy.spatial import cKDTree
 from torch import Tensor
 
 from fullturn.geometry import rigid
-from fullturn.geometry.sampling import local_area
 from fullturn.pose import verify
 from fullturn.pose.contact import Surface, contacts, prepare_surface
-from fullturn.pose.levels import Level, LevelPair
+from fullturn.pose.levels import LevelPair
 from fullturn.pose.verify import MEASURED, agreement, likenesses
 
 H = 0.05
@@ -43,7 +43,7 @@ def surface(
     if T is not None:
         points, normals = rigid.apply(T, points), normals @ T[:3, :3].mT
         viewpoint = None if viewpoint is None else rigid.apply(T, viewpoint[None])[0]
-    level = Level(points, -normals if reverse else normals, local_area(points))
+    level = level_of(points, -normals if reverse else normals)
     return prepare_surface(level, spacing=H, viewpoint=viewpoint)
 
 
@@ -178,7 +178,7 @@ def test_the_rim_is_known() -> None:
     line = torch.arange(-1, 1.001, 0.05).double()
     sheet = torch.cartesian_prod(line, line, torch.zeros(1).double())
     up = torch.tensor([0.0, 0, 1]).double().expand(len(sheet), 3)
-    found = prepare_surface(Level(sheet, up, local_area(sheet)), spacing=0.05, viewpoint=None)
+    found = prepare_surface(level_of(sheet, up), spacing=0.05, viewpoint=None)
     outermost = sheet.abs().amax(1)
     assert not bool(found.interior[outermost > 0.99].any())
     assert bool(found.interior[outermost < 0.9].all())
@@ -189,7 +189,7 @@ def test_smoothing_takes_noise_off_a_plane_and_leaves_its_outline() -> None:
     points = torch.from_numpy(rng.uniform(-1, 1, (1500, 3)))
     points[:, 2] = torch.from_numpy(rng.normal(0, 0.01, 1500))
     up = torch.tensor([0.0, 0, 1]).double().expand(1500, 3)
-    found = prepare_surface(Level(points, up, local_area(points)), spacing=H, viewpoint=None)
+    found = prepare_surface(level_of(points, up), spacing=H, viewpoint=None)
     assert float(found.smooth[:, 2].std()) < 0.45 * float(points[:, 2].std())
     torch.testing.assert_close(found.smooth[:, :2], points[:, :2])
 
@@ -206,7 +206,7 @@ def test_poses_far_apart_are_finite_and_have_no_overlap() -> None:
 @pytest.mark.parametrize("count", [3, 5])
 def test_a_handful_of_points(count: int) -> None:
     points, normals = teapot(count)
-    level = Level(points, normals, local_area(points))
+    level = level_of(points, normals)
     few = prepare_surface(level, spacing=H, viewpoint=None)
     assert bool(torch.isfinite(few.smooth).all())
     assert bool(torch.isfinite(measure(random_motions(2), few, few)).all())
@@ -214,7 +214,8 @@ def test_a_handful_of_points(count: int) -> None:
 
 def test_agreement_of_descriptors_by_hand() -> None:
     line = torch.linspace(-1, 1, 21).unsqueeze(1) * torch.tensor([1.0, 0.0, 0.0])
-    level = Level(line, torch.tensor([0.0, 0.0, 1.0]).expand(21, 3), torch.ones(21))
+    level = level_of(line, torch.tensor([0.0, 0.0, 1.0]).expand(21, 3))
+    level = replace(level, area=torch.ones(21))
     pair = LevelPair(level, level, 0.1)
     alike = torch.eye(21) * 0.9
     poses = torch.eye(4).repeat(3, 1, 1)

@@ -11,7 +11,7 @@ from torch import Tensor
 from fullturn.geometry import rigid
 from fullturn.geometry.neighbors import NeighborIndex
 from fullturn.pose.kabsch import nearest_motion
-from fullturn.pose.residuals import normal_equations
+from fullturn.pose.residuals import plane_equations
 
 # Rounds begin with about so many points of each scan, as long as steps are longer than _NEAR: a
 # ring of scans closes slowly, in twenty rounds and more.
@@ -101,7 +101,7 @@ def _equations(
     for i, j, at, difference, normal in found:
         height = (difference * normal).sum(-1)
         weight = (1.0 - (height / (_TUKEY * sigma)).square()).clamp_min(0).square()
-        block, pull = normal_equations(at, difference, normal, weight)
+        block, pull = plane_equations(at.T, difference.T, normal.T, weight)
         H[i, :, i] += block
         H[j, :, j] += block
         H[i, :, j] -= block

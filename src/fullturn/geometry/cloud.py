@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from fullturn.geometry.neighbors import NeighborIndex
@@ -13,7 +13,7 @@ from fullturn.geometry.normals import estimate_normals
 from fullturn.geometry.sampling import point_spacing
 
 _SAMPLE_LIMIT = 10_000
-_NORMAL_NEIGHBORS = 20
+_NEIGHBORS = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,9 +43,13 @@ class Cloud:
         return self.points[:: -(-len(self.points) // _SAMPLE_LIMIT)]
 
     @cached_property
+    def around(self) -> tuple[Int[Tensor, "s k"], Float[Tensor, "s k"]]:
+        """Index and distance of the sample's 20 nearest points, themselves among them."""
+        return self.index.knn(self.sample, min(_NEIGHBORS, len(self.points)))
+
+    @cached_property
     def sample_normals(self) -> Float[Tensor, "s 3"]:
         """Unit normals at the sample, of either sign, from neighbors at full resolution."""
-        neighbors, _ = self.index.knn(self.sample, min(_NORMAL_NEIGHBORS, len(self.points)))
         return estimate_normals(
-            self.points, queries=self.sample, neighbor_index=neighbors, orientation="none"
+            self.points, queries=self.sample, neighbor_index=self.around[0], orientation="none"
         ).normals

@@ -57,3 +57,10 @@ def skew(vector: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
     """[v]ₓ, so that ``skew(v) @ x`` is v × x."""
     x, y, z = vector
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def small_motion(step: Float[np.ndarray, "6"]) -> Float[np.ndarray, "4 4"]:
+    """The motion of an optimizer's step (ω, v); `rigid.small_motion` says how."""
+    half = 0.5 * step[:3]
+    K = skew(half)
+    return rigid(np.eye(3) + 2.0 / (1.0 + half @ half) * (K + K @ K), step[3:])

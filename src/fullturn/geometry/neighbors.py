@@ -85,15 +85,41 @@ class NeighborIndex:
             self._tree = small_gicp.KdTree(raw - self._center)
 
     def knn(
-        self, queries: Float[Tensor, "m 3"], k: int
+        self, queries: Float[Tensor, "m 3"], k: int, *, within: float = math.inf
     ) -> tuple[Int[Tensor, "m k"], Float[Tensor, "m k"]]:
-        """Index and distance of the k nearest points; −1 and inf where fewer exist."""
+        """Index and distance of the k nearest points; −1 and inf where fewer are `within` reach.
+
+        A finite reach is much faster where many queries lie far away: a k-d tree is slow at those,
+        so they are sorted out beforehand on a grid of occupied cells.
+        """
         _check(queries, self.points, k)
+        queries = queries.detach()
+        if not math.isfinite(within):
+            return self._search(queries, k)
+        near = self._occupancy.near(queries, within)
+        if bool(near.all()):
+            return _within(*self._search(queries, k), within)
+        index = near.new_full((len(queries), k), MISSING, dtype=torch.int64)
+        distance = queries.new_full((len(queries), k), math.inf)
+        index[near], distance[near] = _within(*self._search(queries[near], k), within)
+        return index, distance
+
+    def nearest(
+        self, queries: Float[Tensor, "m 3"], *, within: float = math.inf
+    ) -> tuple[Int[Tensor, " m"], Float[Tensor, " m"]]:
+        """Index and distance of the single nearest point; −1 and inf where none is `within` reach.
+
+        As of `knn`, a finite reach is faster.
+        """
+        index, distance = self.knn(queries, 1, within=within)
+        return index[:, 0], distance[:, 0]
+
+    def _search(self, queries: Tensor, k: int) -> tuple[Tensor, Tensor]:
         if self._tree is None:
             return _knn_torch(queries, self.points, k)
         if len(queries) == 0:
             return torch.empty((0, k), dtype=torch.int64), torch.empty((0, k), dtype=queries.dtype)
-        centered = queries.detach().double().numpy() - self._center
+        centered = queries.double().numpy() - self._center
         unsigned, distance_sq = self._tree.batch_knn_search(centered, k, 1)
         index = unsigned.view(np.int64)  # the tree marks a missing neighbor by 2⁶⁴ − 1
         distance = np.sqrt(distance_sq, out=distance_sq)
@@ -101,30 +127,58 @@ class NeighborIndex:
             distance[:, len(self.points) :] = np.inf
         return torch.from_numpy(index), torch.from_numpy(distance).to(queries.dtype)
 
-    def nearest(
-        self, queries: Float[Tensor, "m 3"], *, within: float = math.inf
-    ) -> tuple[Int[Tensor, " m"], Float[Tensor, " m"]]:
-        """Index and distance of the single nearest point; −1 and inf where none is `within` reach.
-
-        A finite reach is much faster where many queries lie far away: a k-d tree is slow at those,
-        so they are sorted out beforehand on a grid of occupied cells.
-        """
-        if not math.isfinite(within):
-            index, distance = self.knn(queries, 1)
-            return index[:, 0], distance[:, 0]
-        near = self._occupancy.near(queries.detach(), within)
-        if bool(near.all()):
-            index, distance = _within(*self.knn(queries, 1), within)
-            return index[:, 0], distance[:, 0]
-        index = torch.full(near.shape, MISSING, dtype=torch.int64, device=queries.device)
-        distance = torch.full(near.shape, math.inf, dtype=queries.dtype, device=queries.device)
-        found = _within(*self.knn(queries[near], 1), within)
-        index[near], distance[near] = found[0][:, 0], found[1][:, 0]
-        return index, distance
-
     @cached_property
     def _occupancy(self) -> _Occupancy:
         return _Occupancy(self.points)
+
+
+class NearestTracker:
+    """`NeighborIndex.nearest` for the same queries again and again, while they move a little.
+
+    The answers are the same. A query is searched for anew only once it has moved so far that
+    another point may have become the nearest, or have come within reach. Queries are NumPy arrays:
+    of some hundred points, a call of PyTorch costs more than what it computes.
+    """
+
+    def __init__(self, index: NeighborIndex) -> None:
+        self._index = index
+        self._within = -math.inf  # the reach that all of this holds for
+        self._at = np.empty((0, 3))  # where queries were when they were searched for
+        self._found = np.empty(0, dtype=np.int64)
+        self._free_sq = np.empty(0)  # how far they may go from there, squared
+
+    def nearest(self, queries: Float[np.ndarray, "m 3"], *, within: float) -> Int[np.ndarray, " m"]:
+        """Index of the nearest point, and of any point or −1 where none is `within` reach.
+
+        Row k is the same query in every call. The array is this object's own.
+        """
+        if within > self._within:
+            self._within, self._at = within, queries.copy()
+            self._found, self._free_sq = self._searched(queries, 2 * within)
+            return self._found
+        moved = queries - self._at
+        stale = np.flatnonzero(np.einsum("ij,ij->i", moved, moved) > self._free_sq)
+        if len(stale):
+            self._at[stale] = queries[stale]
+            # So few that sorting out the far ones would take longer.
+            self._found[stale], self._free_sq[stale] = self._searched(queries[stale], math.inf)
+        return self._found
+
+    def _searched(
+        self, queries: Float[np.ndarray, "m 3"], within: float
+    ) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, " m"]]:
+        """The nearest point, and how far that holds, squared.
+
+        Half of what the second one is farther away; if the first one is beyond the reach, at least
+        as far as it takes to come within.
+        """
+        here = torch.from_numpy(queries).to(self._index.points)
+        index, distance = self._index.knn(here, 2, within=within)
+        first, second = np.minimum(distance.numpy(force=True), within).T
+        # Two missing points are infinitely far, and so is what lies between them.
+        gap = np.subtract(second, first, out=np.zeros_like(first), where=np.isfinite(first))
+        free = np.maximum(gap / 2, first - self._within)
+        return index[:, 0].numpy(force=True), free * free
 
 
 class _Occupancy:
@@ -139,7 +193,7 @@ class _Occupancy:
         table = torch.zeros(self._size, dtype=torch.bool, device=points.device)
         table[((points - self._low) / self._cell).floor().long().unbind(-1)] = True
         self._table = table
-        self._grown: dict[int, Tensor] = {}
+        self._grown: dict[int, tuple[Tensor, Tensor, Tensor]] = {}
 
     def near(self, queries: Tensor, reach: float) -> Tensor:
         """False only where no point lies within the reach."""
@@ -148,15 +202,27 @@ class _Occupancy:
             return torch.ones(queries.shape[:-1], dtype=torch.bool, device=queries.device)
         grow = max(1, math.ceil(steps))
         if grow not in self._grown:
-            padded = torch.nn.functional.pad(self._table.float(), [grow] * 6)
-            pooled = torch.nn.functional.max_pool3d(padded[None], 2 * grow + 1, 1, grow)[0]
-            self._grown[grow] = pooled.bool()
-        table = self._grown[grow]
-        cell = ((queries - self._low) / self._cell).floor() + grow
-        last = torch.tensor(table.shape, device=queries.device) - 1
-        inside = ((cell >= 0) & (cell <= last)).all(-1)
-        x, y, z = cell.nan_to_num().clamp_min(0).minimum(last.to(cell)).long().unbind(-1)
-        return inside & table[x, y, z]
+            self._grown[grow] = self._grow(grow)
+        table, last, strides = self._grown[grow]
+        cell = ((queries - self._low) / self._cell).floor_().add_(grow + 1).nan_to_num_()
+        flat = torch.minimum(cell.clamp_min_(0), last.to(cell)) @ strides.to(cell)
+        return table[flat.long()]
+
+    def _grow(self, cells: int) -> tuple[Tensor, Tensor, Tensor]:
+        """The flat table of what is so many cells from a point, its last cell, and its strides.
+
+        A rim of empty cells stands for all that lies outside.
+        """
+        grown = torch.nn.functional.pad(self._table, [cells + 1] * 6)
+        for axis, size in enumerate(grown.shape):
+            line = grown.clone()
+            for step in range(1, cells + 1):
+                rest = size - step
+                line.narrow(axis, step, rest).logical_or_(grown.narrow(axis, 0, rest))
+                line.narrow(axis, 0, rest).logical_or_(grown.narrow(axis, step, rest))
+            grown = line
+        last = self._low.new_tensor(grown.shape) - 1
+        return grown.flatten(), last, self._low.new_tensor(grown.stride())
 
 
 def gather(

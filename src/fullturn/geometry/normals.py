@@ -74,8 +74,17 @@ def estimate_normals(
     variation = eigenvalues[:, 0] / torch.where(total > 0, total, 1.0)
     normals = _largest_positive(eigenvectors[..., 0])
     if orientation != "none":
-        normals = _facing(normals, _direction(points, at, orientation, viewpoint))
+        normals = oriented(normals, _direction(points, at, orientation, viewpoint))
     return Normals(normals=normals, surface_variation=variation.clamp(0.0, 1 / 3))
+
+
+def oriented(
+    normals: Float[Tensor, "n 3"], direction: Float[Tensor, "n 3"]
+) -> Float[Tensor, "n 3"]:
+    """Normals turned over where they point away from the direction; kept where that is unclear."""
+    towards = (normals * direction).sum(-1)
+    undecided = 256 * torch.finfo(normals.dtype).eps * torch.linalg.vector_norm(direction, dim=-1)
+    return torch.where((towards < -undecided)[:, None], -normals, normals)
 
 
 def eigen_symmetric_3x3(
@@ -170,12 +179,6 @@ def _direction(
     if viewpoint is not None and orientation == "viewpoint":
         return viewpoint.to(at) - at
     return at - points.mean(0)
-
-
-def _facing(normals: Tensor, direction: Tensor) -> Tensor:
-    towards = (normals * direction).sum(-1)
-    undecided = 256 * torch.finfo(normals.dtype).eps * torch.linalg.vector_norm(direction, dim=-1)
-    return torch.where((towards < -undecided)[:, None], -normals, normals)
 
 
 def _largest_positive(vectors: Tensor) -> Tensor:

@@ -113,15 +113,19 @@ def evenly(rows: int, about: int) -> slice:
     return slice(None, None, max(1, round(rows / about)))
 
 
-def local_area(points: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
+def local_area(
+    points: Float[Tensor, "n 3"], *, distance: Float[Tensor, "n k"] | None = None
+) -> Float[Tensor, " n"]:
     """Surface area that each point stands for, up to a common factor: 1 on average.
 
     The squared distance to the 16th nearest point, held within a tenth and ten times the median.
+    `distance` is that to the nearest points, itself first, where somebody has them; 16 at least.
     """
     if len(points) < 2:
         return torch.ones_like(points[:, 0])
-    _, distance = NeighborIndex(points).knn(points, min(_AREA_NEIGHBORS, len(points)))
-    area = distance[:, -1].square()
+    if distance is None:
+        distance = NeighborIndex(points).knn(points, min(_AREA_NEIGHBORS, len(points)))[1]
+    area = distance[:, min(_AREA_NEIGHBORS, len(points)) - 1].square()
     median = area.median().clamp_min(torch.finfo(area.dtype).tiny)
     area = (area / median).clamp_(0.1, 10.0)
     return area / area.mean()

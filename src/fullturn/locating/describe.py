@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from fullturn.geometry.cloud import Cloud
 from fullturn.geometry.sampling import voxel_sample
 from fullturn.nn.surface import load_surface_net
 from fullturn.pose.levels import make_level
@@ -39,7 +40,7 @@ def describe(
     """
     fine, _ = voxel_sample(points, fine_voxel)
     thin, _ = voxel_sample(fine, voxel)
-    level = make_level(thin, fine)
+    level = make_level(thin, Cloud(fine))
     everyone = torch.arange(len(thin), device=thin.device)
     found = network_descriptors(level, everyone, spacing=spacing)
     if found is None:

@@ -53,7 +53,7 @@ def same_surface(
     rows = slice(None, None, max(1, len(model.surface) // _COMPARED))
     points = model.surface[rows]
     between = rigid.invert(other)[None] @ T_scene_model[:, None]
-    difference, _ = model_grid.nearest(move_planes(between.flatten(0, 1), points.T))
+    difference = model_grid.difference(move_planes(between.flatten(0, 1), points.T))
     # Points stand for all around them, half a spacing away.
     tolerance = SAME_SURFACE * model.diameter / model.radius + 0.5 * model.spacing
     far = difference.square().sum(0).amax(1).sqrt().view(between.shape[:2])

@@ -162,7 +162,7 @@ class _Search:
     def _taken(self, place: _Place, grid: NearestGrid) -> Tensor:
         T = place.found.T_scene_model[place.judged.index[0]]
         there = rigid.apply(rigid.invert(T), self.scene.points).float()
-        difference, _ = grid.nearest(there.T)
+        difference = grid.difference(there.T)
         return difference.norm(dim=0) < _TAKEN * self.scene.spacing
 
 

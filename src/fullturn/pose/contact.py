@@ -13,6 +13,7 @@ from fullturn.pose.levels import Level
 from fullturn.pose.visibility import DepthImages
 
 NEAR = 1.5  # spacings within which two points are near
+_NEIGHBORS = 12  # of a point, whose mean plane smooths it
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,13 +45,11 @@ def prepare_surface(
     *,
     spacing: float,
     viewpoint: Float[Tensor, "3"] | None,
-    neighbors: int = 12,
 ) -> Surface:
     """The cloud with its k-d tree, its smoothed points, its rim and its depth image."""
     points, normals = level.points, level.normals
     index = NeighborIndex(points)
-    around, _ = index.knn(points, min(neighbors, len(points)))
-    offset = gather(points, around) - points[:, None]
+    offset = gather(points, level.around[:, :_NEIGHBORS]) - points[:, None]
     height = (offset * normals[:, None]).sum(-1, keepdim=True)
     along = offset - height * normals[:, None]
     tiny = torch.finfo(points.dtype).tiny

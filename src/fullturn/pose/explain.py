@@ -38,12 +38,13 @@ def explain(source: Cloud, target: Cloud, T_target_source: Float[Tensor, "4 4"])
     near = distance < radius
     index = torch.nonzero(near)[:, 0]
     weights = (1 - (distance[near] / radius).square()).square()
-    covariance = pose_covariance(T_target_source, source, target, cutoff=radius)
     return Explanation(
         overlap=pose_overlap(source, target, T_target_source, radius=radius),
         matches=torch.stack([index, partner[near]], -1).numpy(force=True),
         match_weights=weights.numpy(force=True),
-        covariance=covariance.numpy(force=True),
+        covariance=pose_covariance(
+            T_target_source.numpy(force=True), source, target, cutoff=radius
+        ),
     )
 
 

@@ -152,7 +152,7 @@ def explained_parts(
     """
     planes = points.T.contiguous()
     for part in T_grid_points.split(_POSES_AT_ONCE):
-        difference, _ = grid.nearest(move_planes(part, planes))
+        difference = grid.difference(move_planes(part, planes))
         yield squared_falloff(difference.square_().sum(0), truncation)
 
 

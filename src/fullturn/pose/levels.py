@@ -9,7 +9,9 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from fullturn.geometry.normals import estimate_normals
+from fullturn.geometry.cloud import Cloud
+from fullturn.geometry.neighbors import NeighborIndex
+from fullturn.geometry.normals import estimate_normals, oriented
 from fullturn.geometry.sampling import local_area, point_spacing, voxel_sample
 
 # The voxel size is searched on at least this many times as many points as are wanted.
@@ -17,7 +19,7 @@ _DENSE = 8
 _FEW = 64
 _LARGEST_VOXEL = 0.15  # of a cloud's own radius
 _KEYPOINTS = 400
-_NORMAL_NEIGHBORS = 20
+_NEIGHBORS = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,6 +29,7 @@ class Level:
     points: Float[Tensor, "n 3"]
     normals: Float[Tensor, "n 3"]  # away from the cloud's mean
     area: Float[Tensor, " n"]  # that each point stands for, 1 on average
+    around: Int[Tensor, "n k"]  # the 20 nearest points, itself first, then by distance
 
     @property
     def keypoints(self) -> Int[Tensor, " k"]:
@@ -62,22 +65,41 @@ def level_pair(
     source: Float[Tensor, "p 3"],
     target: Float[Tensor, "q 3"],
     *,
-    support: tuple[Float[Tensor, "n 3"], Float[Tensor, "m 3"]] | None = None,
+    support: tuple[Cloud, Cloud],
 ) -> LevelPair:
     """Normals and spacing for two thinned clouds; `support` are finer clouds for the normals."""
-    finer = support or (source, target)
     return LevelPair(
-        make_level(source, finer[0]),
-        make_level(target, finer[1]),
+        make_level(source, support[0]),
+        make_level(target, support[1]),
         max(point_spacing(source), point_spacing(target)),
     )
 
 
-def make_level(points: Float[Tensor, "p 3"], finer: Float[Tensor, "n 3"]) -> Level:
+def whole_pair(source: Cloud, target: Cloud) -> LevelPair:
+    """Two clouds as they are, where they are small enough."""
+    spacing = max(point_spacing(_sorted(cloud.points)) for cloud in (source, target))
+    return LevelPair(_whole(source), _whole(target), spacing)
+
+
+def make_level(points: Float[Tensor, "p 3"], support: Cloud) -> Level:
     """A thinned cloud with normals from the finer one."""
-    neighbors = min(_NORMAL_NEIGHBORS, len(finer))
-    normals = estimate_normals(finer, k=neighbors, queries=points, orientation="centroid").normals
-    return Level(points.float(), normals.float(), local_area(points).float())
+    wide, _ = support.index.knn(points, min(_NEIGHBORS, len(support.points)))
+    normals = estimate_normals(
+        support.points, queries=points, neighbor_index=wide, orientation="centroid"
+    ).normals
+    around, distance = NeighborIndex(points).knn(points, min(_NEIGHBORS, len(points)))
+    area = local_area(points, distance=distance)
+    return Level(points.float(), normals.float(), area.float(), around)
+
+
+def _whole(cloud: Cloud) -> Level:
+    """All that the cloud knows of its points, in the order of a level."""
+    order = _order(cloud.points)
+    points, (around, distance) = cloud.points[order], cloud.around
+    normals = oriented(cloud.sample_normals[order], points - points.mean(0))
+    area = local_area(points, distance=distance[order])
+    row = torch.empty_like(order).scatter_(0, order, torch.arange(len(order)).to(order))
+    return Level(points.float(), normals.float(), area.float(), row[around[order]])
 
 
 def _thin(points: Tensor, size: float) -> Tensor:
@@ -113,7 +135,12 @@ def _voxel_size(points: Tensor, limit: int) -> float:
 
 
 def _sorted(points: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
+    return points[_order(points)]
+
+
+def _order(points: Float[Tensor, "n 3"]) -> Int[Tensor, " n"]:
     """Rows in lexicographic order."""
-    for axis in (2, 1, 0):
-        points = points[torch.argsort(points[:, axis], stable=True)]
-    return points
+    order = torch.argsort(points[:, 2], stable=True)
+    for axis in (1, 0):
+        order = order[torch.argsort(points[order, axis], stable=True)]
+    return order

@@ -53,13 +53,14 @@ def refine_poses(
             weight = weight * seen
         H, g = plane_equations(moved, difference, normal, weight)
         # In the source's frame it is the partner that moves, by what the motion is there.
-        back = move_planes(rigid.invert(T), target)
+        T_source_target = rigid.invert(T)
+        back = move_planes(T_source_target, target)
         difference, normal = source_grid.nearest(back)
         weight = tukey(difference, scale)
         if eye is not None:
             weight = weight * ((normal * eye.T.unsqueeze(-1)).sum(0) > _GRAZING)
         H_back, g_back = plane_equations(back - difference, difference.neg_(), normal, weight)
-        there = _adjoint(T)
+        there = _adjoint(T_source_target)
         H = H + there.mT @ H_back @ there
         g = g + (there.mT @ g_back.unsqueeze(-1)).squeeze(-1)
         T = rigid.small_motion(gauss_newton_step(H, g, damping=_DAMPING)) @ T
@@ -83,7 +84,7 @@ def lay_on_points(
     planes = source.T.contiguous()
     for share in _LAYING_SHARES:
         moved = move_planes(T, planes)
-        difference, _ = target_grid.nearest(moved)
+        difference = target_grid.difference(moved)
         on_point = difference.square().sum(0) < (share * close) ** 2
         exact = on_point.sum(1) > max(_LEAST_ON_POINTS, _SHARE_ON_POINTS * len(source))
         if not bool(exact.any()):
@@ -99,12 +100,8 @@ def tukey(difference: Float[Tensor, "3 *batch"], scale: float) -> Float[Tensor, 
     return squared_falloff(difference.square().sum(0), scale).square_()
 
 
-def _adjoint(T_target_source: Float[Tensor, "k 4 4"]) -> Float[Tensor, "k 6 6"]:
-    """Takes a small motion (ω, v) in the target's frame to the same one in the source's.
-
-    ω × (R p + t) + v = R (Rᵀω × p + Rᵀ(v + ω × t)).
-    """
-    R_inverse = T_target_source[:, :3, :3].mT
-    shift = -R_inverse @ rigid.skew(T_target_source[:, :3, 3])
-    right = torch.cat([torch.zeros_like(shift), R_inverse], 1)
-    return torch.cat([torch.cat([R_inverse, shift], 1), right], 2)
+def _adjoint(T_a_b: Float[Tensor, "k 4 4"]) -> Float[Tensor, "k 6 6"]:
+    """Takes a small motion (ω, v) in frame b to the same one in frame a: (Rω, t × Rω + Rv)."""
+    R = T_a_b[:, :3, :3]
+    top = torch.cat([R, torch.zeros_like(R)], 2)
+    return torch.cat([top, torch.cat([rigid.skew(T_a_b[:, :3, 3]) @ R, R], 2)], 1)

@@ -20,7 +20,7 @@ from fullturn.pose.contact import contacts, prepare_surface
 from fullturn.pose.evidence import PointSignals, evidence, point_signals
 from fullturn.pose.grid import NearestGrid
 from fullturn.pose.kabsch import nearest_motion
-from fullturn.pose.levels import LevelPair, level_pair, thin_pair
+from fullturn.pose.levels import LevelPair, level_pair, thin_pair, whole_pair
 from fullturn.pose.refine import lay_on_points, refine_poses
 from fullturn.pose.similarity import Similarity, histogram_similarity, network_similarity
 from fullturn.pose.verify import FEATURES, MEASURED, agreement, likenesses, measure
@@ -235,11 +235,18 @@ def coarse_and_fine(
     source: Cloud, target: Cloud, config: SearchConfig = SearchConfig()
 ) -> tuple[LevelPair, LevelPair]:
     """The level of the search and that of the verdict; one and the same for small clouds."""
-    fine = thin_pair(source.points, target.points, limit=config.verify_points)
-    fine_level = level_pair(*fine)
-    if max(len(points) for points in fine) <= config.coarse_points:
-        return fine_level, fine_level
-    return level_pair(*thin_pair(*fine, limit=config.coarse_points), support=fine), fine_level
+    if _most_points(source, target) > config.verify_points:
+        thinned = thin_pair(source.points, target.points, limit=config.verify_points)
+        source, target = Cloud(thinned[0]), Cloud(thinned[1])
+    fine = whole_pair(source, target)
+    if _most_points(source, target) <= config.coarse_points:
+        return fine, fine
+    thinned = thin_pair(source.points, target.points, limit=config.coarse_points)
+    return level_pair(*thinned, support=(source, target)), fine
+
+
+def _most_points(source: Cloud, target: Cloud) -> int:
+    return max(len(source.points), len(target.points))
 
 
 def _measured(

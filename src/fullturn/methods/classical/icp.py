@@ -19,7 +19,7 @@ from fullturn.geometry.normals import estimate_normals
 from fullturn.geometry.sampling import point_spacing, voxel_sample
 from fullturn.methods.base import Estimate, Method, Traits
 from fullturn.pose.kabsch import nearest_motion, weighted_kabsch
-from fullturn.pose.residuals import gauss_newton_step, normal_equations
+from fullturn.pose.residuals import gauss_newton_step, plane_equations
 
 
 @dataclass(frozen=True)
@@ -161,6 +161,6 @@ def _residuals(
 def _step(moved: Tensor, partner: Tensor, normal: Tensor | None, weight: Tensor) -> Tensor:
     if normal is None:
         return weighted_kabsch(moved, partner, weight)
-    H, g = normal_equations(moved, moved - partner, normal, weight)
+    H, g = plane_equations(moved.T, (moved - partner).T, normal.T, weight)
     # Directions in which planes slide on one another stay where they are.
     return rigid.exp_se3(gauss_newton_step(H, g, damping=1e-9, largest=math.inf))
