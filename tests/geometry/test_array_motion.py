@@ -2,8 +2,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
 from scipy.spatial.transform import Rotation
 
+from fullturn.geometry import rigid as of_tensors
 from fullturn.geometry.motion import (
     invert,
     move,
@@ -11,6 +13,7 @@ from fullturn.geometry.motion import (
     rigid,
     rotation_angle_deg,
     skew,
+    small_motion,
 )
 
 
@@ -43,3 +46,10 @@ def test_the_nearest_rotation_is_one_even_to_a_mirror() -> None:
 def test_skew_is_the_cross_product() -> None:
     v, x = np.random.default_rng(2).normal(size=(2, 3))
     np.testing.assert_allclose(skew(v) @ x, np.cross(v, x))
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-9, 0.1, 2.0])
+def test_small_motions_are_those_of_tensors(size: float) -> None:
+    step = size * np.random.default_rng(2).normal(size=6)
+    expected = of_tensors.small_motion(torch.from_numpy(step)).numpy()
+    np.testing.assert_allclose(small_motion(step), expected, atol=1e-15)

@@ -52,7 +52,7 @@ def test_the_nearest_point_within_a_cell(dtype: torch.dtype) -> None:
 
 def test_a_point_finds_one_in_its_own_cell() -> None:
     points, grid = grid_of(800)
-    difference, _ = grid.nearest(points.T)
+    difference = grid.difference(points.T)
     assert float(difference.norm(dim=0).max()) <= DIAGONAL
     assert float((difference.norm(dim=0) == 0).double().mean()) > 0.6
 
@@ -74,6 +74,7 @@ def test_nearest_is_the_difference_and_the_normal_of_the_index() -> None:
     index = grid.index(asked)
     assert index.shape == (10, 30)
     difference, normal = grid.nearest(asked)
+    assert torch.equal(difference, grid.difference(asked))
     hit = index < 500
     torch.testing.assert_close(difference[:, hit], asked[:, hit] - points[index[hit].long()].T)
     torch.testing.assert_close(normal[:, hit], normals[index[hit].long()].T)
@@ -99,7 +100,7 @@ def test_stray_points_are_left_out_and_the_others_keep_their_index() -> None:
 def test_a_cloud_that_is_all_astray_still_has_neighbors() -> None:
     points, normals = teapot(100)
     grid = NearestGrid(points + 50.0, normals, cell=CELL, band=BAND)
-    difference, _ = grid.nearest(points.T + 50.0)
+    difference = grid.difference(points.T + 50.0)
     assert float(difference.norm(dim=0).max()) < 2 * DIAGONAL
 
 
@@ -107,7 +108,7 @@ def test_a_large_box_gets_larger_cells_and_stays_right() -> None:
     points, normals = teapot(200)
     grid = NearestGrid(points, normals, cell=1e-3, band=2e-3, reach=2.0)
     assert grid.cell > 1e-3
-    difference, _ = grid.nearest(points.T)
+    difference = grid.difference(points.T)
     assert float(difference.norm(dim=0).max()) <= math.sqrt(3.0) * grid.cell
 
 
@@ -121,7 +122,7 @@ def test_degenerate_clouds(kind: str) -> None:
         "plane": points * torch.tensor([1.0, 1.0, 0]),
     }[kind].double()
     grid = NearestGrid(points, normals[: len(points)], cell=CELL, band=BAND)
-    difference, _ = grid.nearest(points.T)
+    difference = grid.difference(points.T)
     assert float(difference.norm(dim=0).max()) <= DIAGONAL
     beside = points + torch.tensor([0.0, 0, BAND + 2 * DIAGONAL])
     assert bool((grid.index(beside.T) == len(points)).all())

@@ -126,19 +126,13 @@ def skew(v: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
     return torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], dim=-1).unflatten(-1, (3, 3))
 
 
-def twice_axial(matrix: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch 3"]:
-    """Twice the skew part of a matrix as a vector; of a rotation, 2 sin θ times the axis."""
-    entries = (matrix - matrix.mT).flatten(-2).unbind(-1)
-    return torch.stack([entries[7], entries[2], entries[3]], dim=-1)
-
-
 def rotation_angle_rad(R: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch"]:
     """Angle of a rotation in [0, π]: atan2(2 sin θ, 2 cos θ), exact near 0 and near π.
 
     The difference of two rotations is ``rotation_angle_rad(Ra.mT @ Rb)``. The gradient at the
     identity, where the angle has a kink, is 0.
     """
-    sine = torch.linalg.vector_norm(twice_axial(R), dim=-1)
+    sine = torch.linalg.vector_norm(_twice_axial(R), dim=-1)
     return torch.atan2(sine, R.diagonal(dim1=-2, dim2=-1).sum(-1) - 1)
 
 
@@ -196,7 +190,7 @@ def _quaternion(R: Tensor) -> tuple[Tensor, Tensor]:
     square root of a small number, so values and gradients are stable for every rotation.
     """
     d = R.diagonal(dim1=-2, dim2=-1)
-    axial = twice_axial(R)
+    axial = _twice_axial(R)
     trace = d.sum(-1, keepdim=True)
     diagonal = torch.cat([1 + trace, 1 + 2 * d - trace], dim=-1)
     symmetric = R + R.mT
@@ -213,6 +207,12 @@ def _quaternion(R: Tensor) -> tuple[Tensor, Tensor]:
     q = row / torch.linalg.vector_norm(row, dim=-1, keepdim=True)
     q = torch.where(q[..., :1] < 0, -q, q)
     return q[..., 0], q[..., 1:]
+
+
+def _twice_axial(matrix: Tensor) -> Tensor:
+    """Twice the skew part of a matrix as a vector: of a rotation, 2 sin θ times the axis."""
+    entries = (matrix - matrix.mT).flatten(-2).unbind(-1)
+    return torch.stack([entries[7], entries[2], entries[3]], dim=-1)
 
 
 def _eye_like(matrix: Tensor) -> Tensor:

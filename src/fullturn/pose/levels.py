@@ -76,7 +76,7 @@ def level_pair(
 
 
 def whole_pair(source: Cloud, target: Cloud) -> LevelPair:
-    """Two clouds as they are, where they are small enough."""
+    """Two clouds as they are: so few points that all of them are in the clouds' samples."""
     spacing = max(point_spacing(_sorted(cloud.points)) for cloud in (source, target))
     return LevelPair(_whole(source), _whole(target), spacing)
 
