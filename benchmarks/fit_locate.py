@@ -26,7 +26,7 @@ from torch import Tensor
 
 from free_shapes import DATA, free_shapes
 from fullturn.data.shapes import MeshSource
-from fullturn.evaluation.layout import Table, markdown
+from fullturn.evaluation.layout import Table, markdown, plain_header
 from fullturn.evaluation.metrics import expected_calibration_error
 from fullturn.geometry.extent import center_and_radius
 from fullturn.locating.candidates import candidates, grid_of
@@ -209,7 +209,7 @@ def report(table: Collected, rows: Tensor, inputs: Tensor, weights: VerdictWeigh
         cells.append(tuple(line))
     names = ("among the poses", "answer right", "probability", "ECE")
     header = ["scenes", "parts", *(f"{name}: {n}" for name in ("surface", "pose") for n in names)]
-    return markdown(Table("locate", "Locate", tuple((h,) for h in header), tuple(cells)))
+    return markdown(Table("locate", "Locate", plain_header(header), tuple(cells)))
 
 
 def main() -> None:

@@ -36,7 +36,7 @@ from fullturn.data.mixture import KINDS, mixed_pair
 from fullturn.data.motion import axis_angle_rotation
 from fullturn.data.pair import Pair
 from fullturn.data.shapes import MeshSource
-from fullturn.evaluation.layout import Table, markdown
+from fullturn.evaluation.layout import Table, markdown, plain_header
 from fullturn.evaluation.metrics import expected_calibration_error
 from fullturn.geometry.cloud import Cloud
 from fullturn.geometry.motion import invert, move, rigid
@@ -279,7 +279,7 @@ def report(table: Collected, rows: Tensor, inputs: Tensor, weights: VerdictWeigh
     low = np.mean(stated[kinds == "unrelated"] <= 0.2)
     header = ("kind", "pairs", "truth among finalists", "answer right", "probability", "ECE")
     text = markdown(
-        Table("verdict", "Verdict", tuple((h,) for h in header), tuple(tuple(c) for c in cells))
+        Table("verdict", "Verdict", plain_header(header), tuple(tuple(c) for c in cells))
     )
     return f"{text}\nUnrelated pairs with at most 0.2: {low:.3f}."
 

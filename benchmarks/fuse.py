@@ -47,7 +47,7 @@ from PIL import Image
 
 from fullturn.data.mvp_views import in_unit_ball
 from fullturn.data.shapes import MeshPack
-from fullturn.evaluation.layout import Table, markdown
+from fullturn.evaluation.layout import Table, markdown, plain_header
 from fullturn.fusion.fuse import fuse
 from fullturn.fusion.report import scan_colors
 from fullturn.fusion.result import Fusion
@@ -178,7 +178,7 @@ def stanford_table(rows: Sequence[Row]) -> Table:
                 f"{max(row['peak_gb'] for row in of):.1f} GB",
             )
         )
-    return Table("fuse-stanford", "Real scans", tuple((h,) for h in header), tuple(lines))
+    return Table("fuse-stanford", "Real scans", plain_header(header), tuple(lines))
 
 
 def views_table(rows: Sequence[Row]) -> Table:
@@ -206,7 +206,7 @@ def views_table(rows: Sequence[Row]) -> Table:
                 f"{np.mean([row['cpu'] for row in of]):.1f}",
             )
         )
-    return Table("fuse-views", "Views", tuple((h,) for h in header), tuple(lines))
+    return Table("fuse-views", "Views", plain_header(header), tuple(lines))
 
 
 def drawing(fusion: Fusion, scans: MovedScans) -> bytes:

@@ -26,7 +26,7 @@ import trimesh
 
 from fullturn.data.shapes import MeshPack
 from fullturn.data.surface import sample_surface
-from fullturn.evaluation.layout import Table, markdown
+from fullturn.evaluation.layout import Table, markdown, plain_header
 from fullturn.evaluation.metrics import (
     add,
     add_s,
@@ -158,7 +158,7 @@ def table(rows: list[dict[str, Any]]) -> str:
         "95 % below",
         "preparing s",
     )
-    return markdown(Table("locate", "Locate", tuple((h,) for h in header), tuple(cells)))
+    return markdown(Table("locate", "Locate", plain_header(header), tuple(cells)))
 
 
 def main() -> None:

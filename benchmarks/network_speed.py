@@ -20,7 +20,8 @@ import torch
 
 from fullturn.data.motion import ball_translation, uniform_rotation
 from fullturn.data.perturb import crop_nearest, far_viewpoint
-from fullturn.data.procedural import demo_object, sample_surface
+from fullturn.data.procedural import demo_object
+from fullturn.data.surface import sample_surface
 from fullturn.evaluation.layout import NONE, Table, markdown
 from fullturn.evaluation.run import machine
 from fullturn.geometry.motion import rigid

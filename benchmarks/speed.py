@@ -25,7 +25,8 @@ import numpy as np
 from fullturn.data.motion import ball_translation, uniform_rotation
 from fullturn.data.pair import Pair
 from fullturn.data.perturb import crop_nearest, far_viewpoint, jitter, resample
-from fullturn.data.procedural import demo_object, sample_surface
+from fullturn.data.procedural import demo_object
+from fullturn.data.surface import sample_surface
 from fullturn.evaluation.layout import Table, markdown
 from fullturn.evaluation.metrics import rotation_error_deg
 from fullturn.evaluation.run import machine

@@ -26,7 +26,7 @@ from fullturn.data.open import open_shapes, protocol_pairs
 from fullturn.data.pair_set import PairSet
 from fullturn.evaluation import notes, paper
 from fullturn.evaluation.folders import MethodResult, read_runs
-from fullturn.evaluation.layout import NONE, Table, markdown_section, number
+from fullturn.evaluation.layout import NONE, Table, markdown_section, number, plain_header
 from fullturn.evaluation.run import evaluate, slug
 from fullturn.io.atomic import make_folder, write_atomic
 from fullturn.methods.learned.weights import RUN_FILE
@@ -340,7 +340,7 @@ def _parts_table(results: Results) -> Table:
         for parts, label in PARTS.items()
     )
     header = ("parts", "paper °", *_HEADINGS, "pairs seen", "minutes")
-    return Table("ablation", "Ablation, clean, 180°", tuple((h,) for h in header), rows)
+    return Table("ablation", "Ablation, clean, 180°", plain_header(header), rows)
 
 
 def _categories_table(results: Results) -> Table:

@@ -134,7 +134,5 @@ def test_bootstrap_interval_matches_the_normal_one() -> None:
     assert low == pytest.approx(values.mean() - half, abs=0.03)
     assert high == pytest.approx(values.mean() + half, abs=0.03)
     assert (low, high) == metrics.bootstrap_interval(values, np.random.default_rng(1))
-    middle = metrics.bootstrap_interval(values, np.random.default_rng(1), statistic=np.median)
-    assert middle[0] < np.median(values) < middle[1]
     with pytest.raises(InputError, match="at least one value"):
         metrics.bootstrap_interval(np.array([]), np.random.default_rng(0))

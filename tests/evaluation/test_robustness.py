@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 import torch
 
-from fullturn.data.procedural import dog, sample_surface
+from fullturn.data.procedural import dog
 from fullturn.data.shapes import ProceduralShapes, ShapeSource
+from fullturn.data.surface import sample_surface
 from fullturn.errors import InputError
 from fullturn.evaluation.feature_change import (
     INVARIANT,

@@ -21,7 +21,6 @@ from fullturn.evaluation.folders import SetResult, read_pairs, read_runs
 from fullturn.evaluation.layout import Table, html_section, latex, latex_text, markdown
 from fullturn.evaluation.notes import made_from
 from fullturn.evaluation.paper_layout import paper_layout
-from fullturn.evaluation.pictures import reliability
 from fullturn.evaluation.tables import full_tables, main_table
 
 CLEAN, NOISY = "modelnet40/clean/180", "modelnet40/noisy/180"
@@ -314,7 +313,7 @@ def test_reliability_adds_up() -> None:
     rng = np.random.default_rng(0)
     probability = np.concatenate([rng.uniform(size=500), [0.0, 1.0]])
     success = rng.uniform(size=502) < probability
-    said, right, pairs = reliability(probability, success)
+    said, right, pairs = metrics.reliability(probability, success)
     assert pairs.sum() == 502
     assert np.dot(said, pairs) == pytest.approx(probability.sum())
     assert np.dot(right, pairs) == pytest.approx(success.sum())

@@ -16,9 +16,7 @@ def oriented_cloud(n: int = 400) -> tuple[torch.Tensor, torch.Tensor]:
     points = points / points.norm(dim=-1, keepdim=True) * 0.5
     points[:, 0] *= 1 + points[:, 1]
     # Shaken, so that no two normals are equal: for such a pair the frame would stand on either.
-    normals = estimate_normals(points).normals + 0.02 * torch.from_numpy(
-        rng.standard_normal((n, 3))
-    )
+    normals = estimate_normals(points) + 0.02 * torch.from_numpy(rng.standard_normal((n, 3)))
     return points, normals / normals.norm(dim=-1, keepdim=True)
 
 

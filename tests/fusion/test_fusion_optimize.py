@@ -102,7 +102,7 @@ def test_the_joint_refinement_closes_the_ring(offset: float) -> None:
         rigid.apply(rigid.invert(torch.from_numpy(T)), cap)
         for T, cap in zip(truth, caps, strict=True)
     ]
-    normals = [estimate_normals(cloud, k=12, orientation="none").normals for cloud in clouds]
+    normals = [estimate_normals(cloud, k=12, orientation="none") for cloud in clouds]
     start = np.stack(
         [truth[0], *(T @ jitter(np.eye(4), rng, deg=1.0, shift=0.01) for T in truth[1:])]
     )
@@ -142,7 +142,7 @@ def test_a_ring_with_drift_is_refined_until_it_rests() -> None:
         clouds.append(torch.from_numpy(u * ripple[:, None]))
         turn = Rotation.from_rotvec([0.0, 0.0, np.radians(0.3 * k)]).as_matrix()
         start.append(rigid.make(torch.from_numpy(turn), torch.zeros(3).double()))
-    normals = [estimate_normals(cloud, k=12, orientation="none").normals for cloud in clouds]
+    normals = [estimate_normals(cloud, k=12, orientation="none") for cloud in clouds]
     refined = refine_joint(torch.stack(start), clouds, normals, reach=0.12, closest=0.05)
     angle = rigid.rotation_angle_rad(refined[:, :3, :3]).rad2deg()
     assert float(angle.max()) < 0.4

@@ -33,7 +33,7 @@ def surface(*, bump: float, count: int = 9000) -> torch.Tensor:
 
 def seen_from(points: torch.Tensor, look: np.ndarray) -> np.ndarray:
     """The points of a surface without overhangs whose normals turn to a far sensor."""
-    normals = estimate_normals(points, k=12, orientation="centroid").normals
+    normals = estimate_normals(points, k=12, orientation="centroid")
     front = normals @ torch.from_numpy(look / np.linalg.norm(look)) > 0.1
     return points[front].numpy()
 

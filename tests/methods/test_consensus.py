@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation
 
 import fullturn
 from fullturn.data.motion import uniform_rotation
-from fullturn.data.procedural import demo_object, procedural_mesh, sample_surface
+from fullturn.data.procedural import demo_object, procedural_mesh
+from fullturn.data.surface import sample_surface
 from fullturn.geometry.motion import move, rigid
 
 

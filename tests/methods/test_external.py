@@ -11,7 +11,8 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from fullturn.data.procedural import demo_object, sample_surface
+from fullturn.data.procedural import demo_object
+from fullturn.data.surface import sample_surface
 from fullturn.errors import DependencyError
 from fullturn.geometry.cloud import Cloud
 from fullturn.methods.external.align import align, thinned

@@ -21,6 +21,7 @@ from nn_reference import (
 
 from fullturn.features.fpfh import fpfh
 from fullturn.features.ppf import ppf
+from fullturn.geometry.neighbors import radius_neighbors
 from fullturn.geometry.normals import estimate_normals
 from fullturn.geometry.rigid import random_rotations_uniform
 from fullturn.nn.clouds import CloudBatch
@@ -81,7 +82,8 @@ def test_fewer_points_than_neighbors(n: int, features: str) -> None:
 def test_normals_are_those_of_the_posed_cloud(orientation: str) -> None:
     points = dense(100, seed=0)
     graphs = build_graphs(one(points), replace(SMALL, orientation=orientation))
-    normals = estimate_normals(points, radius=0.1, k=30, orientation=orientation).normals
+    near, _ = radius_neighbors(points, points, 0.1, max_neighbors=30)
+    normals = estimate_normals(points, neighbor_index=near, orientation=orientation)
     neighbors = graphs.levels[0].neighbors
     expected = ppf(points, normals, neighbors, fold=orientation == "none")
     expected[..., 3] /= 0.05
@@ -103,7 +105,8 @@ def test_fpfh_is_for_nodes_and_ppf_for_edges() -> None:
     graphs, plain = (build_graphs(batch, replace(SMALL, features=f)) for f in ("fpfh", "ppf"))
     assert torch.equal(graphs.levels[0].relation, plain.levels[0].relation)
     for first, points in ((0, cloud(60, seed=0)), (60, cloud(50, seed=1))):
-        normals = estimate_normals(points, radius=0.1, k=30, orientation="origin").normals
+        near, _ = radius_neighbors(points, points, 0.1, max_neighbors=30)
+        normals = estimate_normals(points, neighbor_index=near, orientation="origin")
         expected = fpfh(points - points.mean(0), normals)
         torch.testing.assert_close(graphs.ri[first : first + len(points)], expected)
 

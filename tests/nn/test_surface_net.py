@@ -20,7 +20,7 @@ def cloud(count: int = 150) -> tuple[Tensor, Tensor, Tensor]:
     points = torch.from_numpy(
         ProceduralShapes(1, seed=4).points(0, count, np.random.default_rng(0))
     ).float()
-    normals = estimate_normals(points, k=12, orientation="centroid").normals
+    normals = estimate_normals(points, k=12, orientation="centroid")
     return points, normals, local_area(points).float()
 
 

@@ -83,7 +83,7 @@ def read_pairs(path: str | os.PathLike[str], *, method: type[Method]) -> PairTab
         digest.update(repr(row).encode() + b"\n")
         count += 1
     if not count:
-        raise InputError(f"{_name(place)}: expected at least one pair, got none; add rows to it")
+        raise InputError(f"{one_line(place)}: expected at least one pair, got none; add rows to it")
     unused = tuple(name for name in next(_cells(place, content))[1] if name not in _COLUMNS)
     return PairTable(place, content, count, digest.hexdigest(), unused)
 
@@ -97,11 +97,11 @@ def _rows(path: Path, content: bytes, method: type[Method] | None) -> Iterator[P
     for number, (line, values) in enumerate(cells):
         if len(values) != len(header):
             raise InputError(
-                f"{_name(path)}, line {line}: expected {len(header)} cells as in the first line, "
-                f"got {len(values)}; write paths with commas in quotes"
+                f"{one_line(path)}, line {line}: expected {len(header)} cells as in the first "
+                f"line, got {len(values)}; write paths with commas in quotes"
             )
         cell = dict(zip(header, values, strict=True))
-        place = f"{_name(path)}, line {line}"
+        place = f"{one_line(path)}, line {line}"
         for name in ("id", *_NEEDED):
             if not cell.get(name, "-"):
                 raise InputError(f"{place}, column {name}: expected a value, got none; fill it in")
@@ -140,12 +140,12 @@ def _cells(path: Path, content: bytes) -> Iterator[tuple[int, list[str]]]:
                 yield reader.line_num, [cell.strip() for cell in record]
     except (UnicodeDecodeError, csv.Error) as error:
         raise ReadError(
-            f"{_name(path)}, line {reader.line_num + 1}: expected comma-separated values in UTF-8, "
-            f"cannot read them ({one_line(error)}); save the table as CSV"
+            f"{one_line(path)}, line {reader.line_num + 1}: expected comma-separated values in "
+            f"UTF-8, cannot read them ({one_line(error)}); save the table as CSV"
         ) from error
     if empty:
         raise ReadError(
-            f"{_name(path)}: expected a first line with the columns source and target, "
+            f"{one_line(path)}: expected a first line with the columns source and target, "
             "the file is empty; save the table as CSV"
         )
 
@@ -155,12 +155,12 @@ def _check_header(path: Path, header: list[str]) -> None:
         other = len(header) == 1 and any(mark in header[0] for mark in ";\t|")
         what = "separate the columns by commas" if other else f"name a column {missing[0]}"
         raise InputError(
-            f"{_name(path)}, line 1: expected the columns source and target, got "
+            f"{one_line(path)}, line 1: expected the columns source and target, got "
             f"{one_line(', '.join(header))[:200]}; {what}"
         )
     if double := sorted({name for name in header if name in _COLUMNS and header.count(name) > 1}):
         raise InputError(
-            f"{_name(path)}, line 1: expected each column once, got {double[0]} twice; drop one"
+            f"{one_line(path)}, line 1: expected each column once, got {double[0]} twice; drop one"
         )
 
 
@@ -186,7 +186,3 @@ def _number(text: str, place: str) -> float | None:
             f"{place}: expected an angle above 0 and up to 180, got {one_line(text)[:80]}; "
             "leave it empty where none is known"
         ) from error
-
-
-def _name(path: Path) -> str:
-    return one_line(path)

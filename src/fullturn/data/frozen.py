@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-import io
 import json
 import os
-import zipfile
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -14,10 +12,10 @@ from typing import Any
 import numpy as np
 
 import fullturn
+from fullturn.data.npz import npz_bytes, open_npz
 from fullturn.data.pair import Pair
 from fullturn.data.pair_set import PairSet
 from fullturn.data.provenance import working_tree_commit
-from fullturn.data.shapes import open_npz
 from fullturn.errors import ReadError
 from fullturn.io.atomic import check_output, write_atomic
 
@@ -154,20 +152,6 @@ def _sha256(arrays: dict[str, np.ndarray]) -> str:
         digest.update(f"{key} {array.dtype.str} {array.shape}\n".encode())
         digest.update(array.tobytes())
     return digest.hexdigest()
-
-
-def npz_bytes(arrays: dict[str, np.ndarray]) -> bytes:
-    # np.savez leaves the date of the members to the zip library; here it is always the same.
-    # Nothing is compressed: noise doesn't shrink, and compressors differ between machines.
-    stream = io.BytesIO()
-    with zipfile.ZipFile(stream, "w", zipfile.ZIP_STORED) as archive:
-        for key, array in arrays.items():
-            member = io.BytesIO()
-            np.lib.format.write_array(member, np.asarray(array, order="C"), allow_pickle=False)
-            info = zipfile.ZipInfo(f"{key}.npy", (1980, 1, 1, 0, 0, 0))
-            info.create_system, info.external_attr = 3, 0o644 << 16
-            archive.writestr(info, member.getvalue())
-    return stream.getvalue()
 
 
 def _read_manifest(text: str, path: Path) -> dict[str, Any]:

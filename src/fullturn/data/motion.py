@@ -21,9 +21,9 @@ def uniform_rotation(rng: np.random.Generator) -> Float[np.ndarray, "3 3"]:
 def axis_angle_rotation(
     rng: np.random.Generator, *, max_angle_deg: float
 ) -> Float[np.ndarray, "3 3"]:
-    """A rotation about a uniform axis by an angle ~ U[0, max]: at 180° its mean is 90°,
+    """A rotation about a uniform axis by an angle ~ U[0, max].
 
-    so this is *not* uniform on SO(3); see `uniform_rotation`.
+    At 180° its mean is 90°, so this is *not* uniform on SO(3); see `uniform_rotation`.
     """
     axis = uniform_direction(rng)
     angle_rad = np.deg2rad(rng.uniform(0.0, max_angle_deg))

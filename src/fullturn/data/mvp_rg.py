@@ -12,11 +12,11 @@ from typing import Any, Literal
 
 import numpy as np
 
+from fullturn.data.npz import open_npz
 from fullturn.data.pair import Pair
 from fullturn.data.pair_set import PairSet
 from fullturn.data.provenance import sha256_of_file
 from fullturn.data.sensor import Sensor
-from fullturn.data.shapes import open_npz
 from fullturn.errors import InputError, ReadError
 
 FORMAT = 1

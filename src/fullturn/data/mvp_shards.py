@@ -11,11 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from fullturn.data.frozen import npz_bytes
 from fullturn.data.mvp_pair import MadePair
 from fullturn.data.mvp_rg import SHARD_KEYS
+from fullturn.data.npz import npz_bytes, open_npz
 from fullturn.data.provenance import sha256_of_file
-from fullturn.data.shapes import open_npz
 from fullturn.errors import ReadError
 
 TALLIED = ("match_level", "rotation_level", "category")

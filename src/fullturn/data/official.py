@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from fullturn.data.categories import MODELNET40_CLASSES, SEEN_CLASSES
 from fullturn.data.hdf5 import check_floats, check_labels, check_rigid, read_arrays
@@ -109,7 +108,7 @@ class OfficialModelNet40(PairSet):
         self._label, self._transforms = label[keep], transforms[keep]
         # The name of the protocol that these pairs follow: the published numbers are for them.
         kind = ("noisy" if noisy else "clean") + ("" if partial else "-complete")
-        largest_deg = _largest_angle_deg(transforms)
+        largest_deg = float(rotation_angle_deg(transforms[:, :3, :3]).max())
         angle = 45 if largest_deg <= 45.0 + _ANGLE_SLACK_DEG else 180
         self.name = f"modelnet40/{kind}/{angle}" + ("/unseen" if unseen else "")
 
@@ -145,7 +144,3 @@ def _class_names(file: Path) -> list[str]:
         return file.read_text(encoding="utf-8").split()
     except FileNotFoundError:
         return []
-
-
-def _largest_angle_deg(transforms: np.ndarray) -> float:
-    return float(np.degrees(Rotation.from_matrix(transforms[:, :3, :3]).magnitude().max()))

@@ -10,6 +10,7 @@ from fullturn.data.draw import ProtocolPairs
 from fullturn.data.frozen import FrozenPairs
 from fullturn.data.mixture import MixedPairs
 from fullturn.data.mvp_rg import MvpRgPairs, is_built
+from fullturn.data.npz import npz_keys
 from fullturn.data.official import ModelNet40Hdf5, OfficialModelNet40
 from fullturn.data.official_mvp import OfficialMvp, is_mvp_file
 from fullturn.data.pair_set import PairSet
@@ -21,7 +22,6 @@ from fullturn.data.shapes import (
     MeshSource,
     ProceduralShapes,
     ShapeSource,
-    npz_keys,
 )
 from fullturn.data.stanford import StanfordScans
 from fullturn.data.stored import MODELNET_KEYS, ModelNetSubset

@@ -19,9 +19,6 @@ from fullturn.data.solids import (
     to_unit_ball,
     tube,
 )
-from fullturn.data.surface import sample_surface
-
-__all__ = ["demo_object", "dog", "procedural_family", "procedural_mesh", "sample_surface"]
 
 
 def procedural_family(rng: np.random.Generator) -> str:

@@ -7,8 +7,7 @@ surface samples, the farthest of which lies at distance 1.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Iterator
-from contextlib import contextmanager
+from collections.abc import Collection
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -17,10 +16,11 @@ import numpy as np
 import trimesh
 from jaxtyping import Float
 
+from fullturn.data.npz import open_npz
 from fullturn.data.procedural import procedural_family, procedural_mesh
 from fullturn.data.provenance import sha256_of_file, sha256_of_files
 from fullturn.data.surface import sample_surface
-from fullturn.errors import InputError, ReadError, one_line
+from fullturn.errors import InputError, ReadError
 
 _MESH_SUFFIXES = {".glb", ".gltf", ".obj", ".off", ".ply", ".stl"}
 _NORMALIZATION_COUNT = 4096
@@ -59,11 +59,12 @@ class ShapeSource(ABC):
     ) -> Float[np.ndarray, "count 3"]:
         """`count` points of the surface in the unit ball, float64, in random order."""
 
-    @abstractmethod
     def points_pair(
         self, index: int, count: int, rng: np.random.Generator
     ) -> tuple[Float[np.ndarray, "count 3"], Float[np.ndarray, "count 3"]]:
         """Two samples of one surface that share no point, as two scanners would give."""
+        sample = self.points(index, 2 * count, rng)
+        return sample[:count], sample[count:]
 
 
 class MeshSource(ShapeSource):
@@ -85,12 +86,6 @@ class MeshSource(ShapeSource):
         self, index: int, count: int, rng: np.random.Generator
     ) -> Float[np.ndarray, "count 3"]:
         return sample_surface(self.mesh(index), count, rng)
-
-    def points_pair(
-        self, index: int, count: int, rng: np.random.Generator
-    ) -> tuple[Float[np.ndarray, "count 3"], Float[np.ndarray, "count 3"]]:
-        sample = sample_surface(self.mesh(index), 2 * count, rng)
-        return sample[:count], sample[count:]
 
 
 class MeshPack(MeshSource):
@@ -234,43 +229,3 @@ class ProceduralShapes(MeshSource):
 
     def raw_mesh(self, index: int) -> trimesh.Trimesh:
         return procedural_mesh(np.random.default_rng([self._seed, index]))
-
-
-def open_npz(path: str | Path, keys: tuple[str, ...]) -> dict[str, np.ndarray]:
-    """All arrays of a `.npz` file, which must hold `keys`.
-
-    Raises:
-        ReadError: no such file, not a `.npz` file, arrays of objects, or a key is missing.
-    """
-    with _archive(path) as archive:
-        content = {key: archive[key] for key in archive.files}
-    missing = [key for key in keys if key not in content]
-    if missing:
-        raise ReadError(
-            f"expected the keys {', '.join(keys)} in {path}, missing: {', '.join(missing)}; "
-            "it is a file of another kind"
-        )
-    return content
-
-
-def npz_keys(path: str | Path) -> set[str]:
-    """The keys of a `.npz` file, without reading the arrays."""
-    with _archive(path) as archive:
-        return set(archive.files)
-
-
-@contextmanager
-def _archive(path: str | Path) -> Iterator[Any]:
-    try:
-        with open(path, "rb") as stream:
-            if stream.read(2) != b"PK":
-                raise ValueError("it is a file of another kind")
-            stream.seek(0)
-            with np.load(stream, allow_pickle=False) as archive:
-                yield archive
-    # A damaged archive fails as OSError, ValueError, BadZipFile, EOFError, zlib.error, ...
-    except Exception as error:
-        raise ReadError(
-            f"expected a .npz file at {path}, could not read it: {one_line(error)}; "
-            "check the path, or copy the file again"
-        ) from error

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Shaped
 
+from fullturn.data.npz import open_npz
 from fullturn.data.provenance import sha256_of_file
-from fullturn.data.shapes import ShapeSource, open_npz
+from fullturn.data.shapes import ShapeSource
 from fullturn.errors import InputError
 
 MODELNET40_LICENSE = "ModelNet's own terms: academic research"
@@ -56,12 +57,6 @@ class StoredPoints(ShapeSource):
             )
         drawn = stored[rng.permutation(len(stored))[:count]].astype(np.float64)
         return drawn / self._scale
-
-    def points_pair(
-        self, index: int, count: int, rng: np.random.Generator
-    ) -> tuple[Float[np.ndarray, "count 3"], Float[np.ndarray, "count 3"]]:
-        sample = self.points(index, 2 * count, rng)
-        return sample[:count], sample[count:]
 
 
 class ModelNetSubset(StoredPoints):

@@ -165,7 +165,7 @@ def describe(
     RRI has its center at the origin of the frame, wherever the cloud is.
     """
     neighbor_index, near = search
-    normals = estimate_normals(points, neighbor_index=near, orientation=rule).normals
+    normals = estimate_normals(points, neighbor_index=near, orientation=rule)
     radius, most = config.normal_radius, config.normal_neighbors
     compute: dict[str, Callable[[], Tensor]] = {
         "XYZ": lambda: xyz(points, neighbor_index),
@@ -217,7 +217,7 @@ def channel_error(
 def _unoriented(points: Tensor, search: Search) -> dict[str, Tensor]:
     """PPF from normals whose signs mean nothing: as they are, and folded, which ignores signs."""
     index, near = search
-    normals = estimate_normals(points, neighbor_index=near, orientation="none").normals
+    normals = estimate_normals(points, neighbor_index=near, orientation="none")
     return {
         "PPF (none)": ppf(points, normals, index),
         "PPF (none, folded)": ppf(points, normals, index, fold=True),

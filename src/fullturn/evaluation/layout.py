@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import html
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import groupby
+
+from fullturn.viz.tables import text as html_text
 
 _LATEX = {
     "\\": r"\textbackslash{}", "{": r"\{", "}": r"\}", "&": r"\&", "%": r"\%", "$": r"\$",
@@ -41,6 +42,11 @@ def number(value: float, form: int | str) -> str:
         return f"{100.0 * value:.1f}"
     # Means of clean pairs are thousandths of a degree, those of hard ones tens of degrees.
     return f"{value:.{(3 if abs(value) < 1.0 else 2) if form == '°' else form}f}"
+
+
+def plain_header(names: Sequence[str]) -> tuple[tuple[str, ...], ...]:
+    """Headings of one level."""
+    return tuple((name,) for name in names)
 
 
 def markdown(table: Table) -> str:
@@ -101,7 +107,7 @@ def html_section(table: Table) -> str:
     rows = []
     for level in range(len(table.header[0])):
         cells = "".join(
-            f'<th scope="col"{f" colspan={span}" if span > 1 else ""}>{_html_text(text)}</th>'
+            f'<th scope="col"{f" colspan={span}" if span > 1 else ""}>{html_text(text)}</th>'
             for text, span in _merged(table.header, level)
         )
         rows.append(f"<tr>{cells}</tr>")
@@ -109,15 +115,15 @@ def html_section(table: Table) -> str:
     for number, row in enumerate(table.rows):
         style = ' class="block"' if number in table.rules else ""
         cells = "".join(
-            f'<th scope="row">{_html_text(cell)}</th>'
+            f'<th scope="row">{html_text(cell)}</th>'
             if column < table.text_columns
-            else f"<td>{_html_text(cell)}</td>"
+            else f"<td>{html_text(cell)}</td>"
             for column, cell in enumerate(row)
         )
         body.append(f"<tr{style}>{cells}</tr>")
-    notes = "".join(f'<p class="sub">{_html_text(note)}</p>' for note in table.notes)
+    notes = "".join(f'<p class="sub">{html_text(note)}</p>' for note in table.notes)
     return (
-        f'<section class="card wide" id="{table.name}">\n<h2>{_html_text(table.title)}</h2>\n'
+        f'<section class="card wide" id="{table.name}">\n<h2>{html_text(table.title)}</h2>\n'
         f'<table class="numbers">\n<thead>{"".join(rows)}</thead>\n'
         f"<tbody>\n{chr(10).join(body)}\n</tbody>\n</table>\n{notes}\n</section>\n"
     )
@@ -148,7 +154,3 @@ def _markdown_text(text: str) -> str:
     for letter in "\\|*`":
         text = text.replace(letter, f"\\{letter}")
     return " ".join(text.split())
-
-
-def _html_text(text: str) -> str:
-    return html.escape("".join(c if c.isprintable() else "\ufffd" for c in text))

@@ -6,8 +6,6 @@ Errors are per pair: averaging is the caller's, over *all* pairs, failures inclu
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial import cKDTree
@@ -16,6 +14,8 @@ from fullturn.errors import InputError
 from fullturn.geometry.motion import move, rotation_angle_deg
 
 SUCCESS_ANGLE_DEG = 5.0
+_BINS = 10  # of equal width, for calibration
+_LEVEL, _RESAMPLES = 0.95, 2000  # of bootstrap intervals
 SUCCESS_SHARE = 0.05  # of the source's radius
 
 
@@ -122,14 +122,14 @@ def pose_success(
 
 
 def truncated_distance(
-    pose: Float[np.ndarray, "4 4"],
+    T_target_source: Float[np.ndarray, "4 4"],
     source: Float[np.ndarray, "n 3"],
     target: Float[np.ndarray, "m 3"],
     *,
     truncation: float,
 ) -> float:
     """The mean of both one-sided means of min(nearest distance, truncation)."""
-    moved = move(pose, source)
+    moved = move(T_target_source, source)
     forth, back = (
         # Beyond the bound the tree stops looking and says infinity.
         np.minimum(cKDTree(there).query(here, distance_upper_bound=truncation)[0], truncation)
@@ -139,12 +139,13 @@ def truncated_distance(
 
 
 def fit_distance(
-    pose: Float[np.ndarray, "4 4"],
+    T_target_source: Float[np.ndarray, "4 4"],
     source: Float[np.ndarray, "n 3"],
     target: Float[np.ndarray, "m 3"],
 ) -> float:
     """How badly a pose explains two clouds: `truncated_distance` at 5 % of the source's radius."""
-    return truncated_distance(pose, source, target, truncation=SUCCESS_SHARE * radius(source))
+    truncation = SUCCESS_SHARE * radius(source)
+    return truncated_distance(T_target_source, source, target, truncation=truncation)
 
 
 def geometric_success(
@@ -178,18 +179,34 @@ def recall(errors: Float[np.ndarray, "n"], threshold: float) -> float:
     return float(np.mean(np.asarray(errors) < threshold))
 
 
+def reliability(
+    probability: Float[np.ndarray, "n"], success: Bool[np.ndarray, "n"]
+) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k"], Float[np.ndarray, "k"]]:
+    """(mean probability, share right, pairs) of each tenth of [0, 1] that holds a pair.
+
+    >>> said, right, pairs = reliability(np.array([0.9, 0.92, 0.1]), np.array([True, False, False]))
+    >>> said.round(2).tolist(), right.tolist(), pairs.tolist()
+    ([0.1, 0.91], [0.0, 0.5], [1.0, 2.0])
+    """
+    probability, success = _checked(probability, success)
+    number = np.minimum((probability * _BINS).astype(np.int64), _BINS - 1)
+    pairs = np.bincount(number, minlength=_BINS)
+    filled = pairs > 0
+    said = np.bincount(number, weights=probability, minlength=_BINS)[filled] / pairs[filled]
+    right = np.bincount(number, weights=success, minlength=_BINS)[filled] / pairs[filled]
+    return said, right, pairs[filled].astype(np.float64)
+
+
 def expected_calibration_error(
-    probability: Float[np.ndarray, "n"], success: Bool[np.ndarray, "n"], *, bins: int = 10
+    probability: Float[np.ndarray, "n"], success: Bool[np.ndarray, "n"]
 ) -> float:
-    """Σ_bins (n_b/n)·|share of successes − mean probability|, over bins of equal width.
+    """Σ (n_b/n)·|share of successes − mean probability|, over the bins of `reliability`.
 
     >>> expected_calibration_error(np.array([0.9, 0.9]), np.array([True, False]))
     0.4
     """
-    probability, success = _checked(probability, success)
-    bin_of = np.minimum((probability * bins).astype(np.int64), bins - 1)
-    gap = np.bincount(bin_of, success - probability, minlength=bins)
-    return float(np.abs(gap).sum() / len(probability))
+    said, right, pairs = reliability(probability, success)
+    return float((pairs * np.abs(right - said)).sum() / pairs.sum())
 
 
 def brier(probability: Float[np.ndarray, "n"], success: Bool[np.ndarray, "n"]) -> float:
@@ -211,17 +228,13 @@ def risk_coverage(
 def bootstrap_interval(
     values: Float[np.ndarray, "n"] | Bool[np.ndarray, "n"],
     rng: np.random.Generator,
-    *,
-    level: float = 0.95,
-    resamples: int = 2000,
-    statistic: Callable[..., np.ndarray] = np.mean,
 ) -> tuple[float, float]:
-    """The percentile bootstrap interval of a statistic (NumPy-like, with `axis`) over pairs."""
+    """The percentile bootstrap interval of a mean over pairs: 95 % of 2,000 draws."""
     values = np.asarray(values, dtype=np.float64)
     if len(values) == 0:
         raise InputError("expected at least one value, got none; run at least one pair")
-    drawn = statistic(values[rng.integers(len(values), size=(resamples, len(values)))], axis=1)
-    low, high = np.quantile(drawn, [(1.0 - level) / 2.0, (1.0 + level) / 2.0])
+    drawn = values[rng.integers(len(values), size=(_RESAMPLES, len(values)))].mean(axis=1)
+    low, high = np.quantile(drawn, [(1.0 - _LEVEL) / 2.0, (1.0 + _LEVEL) / 2.0])
     return float(low), float(high)
 
 

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from fullturn.evaluation import metrics, paper
 from fullturn.evaluation.folders import PairRows, SetResult, read_pairs
@@ -14,8 +13,6 @@ from fullturn.viz.curves import draw_error_curves, draw_risk_coverage
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-BINS = 10
 
 
 def draw_pictures(sets: Sequence[SetResult]) -> dict[str, Figure]:
@@ -56,26 +53,9 @@ def draw_pictures(sets: Sequence[SetResult]) -> dict[str, Figure]:
         for method in dict.fromkeys(method for found in stated.values() for method in found):
             parts = [found[method] for found in stated.values() if method in found]
             probability, success = (np.concatenate(part) for part in zip(*parts, strict=True))
-            pooled[method] = reliability(probability, success)
+            pooled[method] = metrics.reliability(probability, success)
         figures["risk_coverage"] = draw_risk_coverage(risk, pooled)
     return figures
-
-
-def reliability(
-    probability: Float[np.ndarray, "n"], success: Bool[np.ndarray, "n"], *, bins: int = BINS
-) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k"], Float[np.ndarray, "k"]]:
-    """(mean probability, share right, pairs) of each bin of equal width that holds a pair.
-
-    >>> said, right, pairs = reliability(np.array([0.9, 0.92, 0.1]), np.array([True, False, False]))
-    >>> said.round(2).tolist(), right.tolist(), pairs.tolist()
-    ([0.1, 0.91], [0.0, 0.5], [1.0, 2.0])
-    """
-    number = np.minimum((probability * bins).astype(int), bins - 1)
-    pairs = np.bincount(number, minlength=bins)
-    filled = pairs > 0
-    said = np.bincount(number, weights=probability, minlength=bins)[filled] / pairs[filled]
-    right = np.bincount(number, weights=success, minlength=bins)[filled] / pairs[filled]
-    return said, right, pairs[filled].astype(np.float64)
 
 
 def _published_mean(name: str) -> tuple[str, float] | None:

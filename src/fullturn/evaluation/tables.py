@@ -101,7 +101,9 @@ def main_table(
     header = ("pairs", "method", "n", *_MAIN_COLUMNS, "CPU s")
     remarks = [notes.seeds(sets), notes.told(sets), notes.unrelated(sets), notes.shapes_note(sets)]
     remarks = [remark for remark in remarks if remark]
-    return Table("main", title, _plain(header), tuple(rows), tuple(remarks), 2, frozenset(rules))
+    return Table(
+        "main", title, plain_header(header), tuple(rows), tuple(remarks), 2, frozenset(rules)
+    )
 
 
 def family(name: str) -> str:
@@ -158,7 +160,9 @@ def _family_table(name: str, sets: Sequence[SetResult]) -> Table:
         ]
     label = re.sub(r"[^A-Za-z0-9-]", "-", name)
     remarks = [remark for remark in remarks if remark]
-    return Table(label, title, _plain(header), tuple(rows), tuple(remarks), 2, frozenset(rules))
+    return Table(
+        label, title, plain_header(header), tuple(rows), tuple(remarks), 2, frozenset(rules)
+    )
 
 
 def _blocks(
@@ -200,7 +204,3 @@ def _difference(result: MethodResult, best: paper.Row | None, name: str, key: st
     if best is None or value is None:
         return NONE
     return paper.difference(value, best.figures[name][_PAPER_COLUMNS[column]])
-
-
-def _plain(header: Sequence[str]) -> tuple[tuple[str, ...], ...]:
-    return tuple((text,) for text in header)

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from fullturn.errors import InputError
 from fullturn.features.coordinates import delta_xyz
+from fullturn.geometry.normals import perpendicular
 
 
 def rri(
@@ -55,15 +56,7 @@ def rri(
 
 def _tangent(axis: Tensor, d: Tensor) -> tuple[Tensor, Tensor]:
     """Angle of d about a unit axis, from an arbitrary zero, and where d has such an angle."""
-    x, y, z = axis
-    # A basis of the plane perpendicular to the axis that is never degenerate.
-    drop_y = x.abs() > y.abs()
-    zero = torch.zeros_like(x)
-    e1 = torch.stack(
-        [torch.where(drop_y, -z, zero), torch.where(drop_y, zero, z), torch.where(drop_y, x, -y)]
-    )
-    length = e1.square().sum(0).sqrt()
-    e1 = e1 / torch.where(length > 0, length, 1.0)
+    e1 = perpendicular(axis)
     e2 = torch.linalg.cross(axis, e1, dim=0)
     along_1, along_2 = (d * e1).sum(0), (d * e2).sum(0)
     flat_sq = along_1.square() + along_2.square()

@@ -129,10 +129,9 @@ def _near(
     near = partner >= 0
     if float(near.double().mean()) < _LEAST_SHARE:
         return None
-    R_i = T[i, :3, :3]
     own = own_normals[near] @ T_j_i[:3, :3].mT
     other = normals[j][partner[near]]
     alike = (own * other).sum(-1).abs() > _ALIKE
     difference = (moved[near] - points[j][partner[near]])[alike] @ T[j, :3, :3].mT
-    at = own_points[near][alike] @ R_i.mT + T[i, :3, 3]
+    at = rigid.apply(T[i], own_points[near][alike])
     return at, difference, other[alike] @ T[j, :3, :3].mT

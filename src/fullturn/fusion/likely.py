@@ -10,10 +10,10 @@ from jaxtyping import Float
 from torch import Tensor
 
 from fullturn.features.surface import surface_histogram
+from fullturn.fusion.edges import Pair
 from fullturn.fusion.scans import Scan
 from fullturn.geometry.sampling import voxel_sample
 
-Pair = tuple[int, int]
 ALL_PAIRS_UP_TO = 12  # scans
 _FIRST_PARTNERS, _MORE_PARTNERS = 4, 3  # of each scan in the first round, and in each later one
 _ENOUGH = 2  # trusted edges of each scan

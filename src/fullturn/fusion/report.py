@@ -59,9 +59,7 @@ def render_fusion_report(clouds: Sequence[Any], fusion: Fusion) -> str:
             ),
             "drawn": f"{sum(map(len, drawn)):,} points drawn",
             "scan_rows": _scan_rows(fusion, colors),
-            "notes": "<ul class='notes'>"
-            + "".join(f"<li>{tables.text(note)}</li>" for note in fusion.notes)
-            + "</ul>",
+            "notes": tables.notes(fusion.notes),
             "graph": graph_picture(fusion, colors),
             "seconds_rows": tables.seconds_rows(fusion.seconds),
             "edge_rows": _edge_rows(fusion),

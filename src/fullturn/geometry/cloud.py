@@ -52,4 +52,4 @@ class Cloud:
         """Unit normals at the sample, of either sign, from neighbors at full resolution."""
         return estimate_normals(
             self.points, queries=self.sample, neighbor_index=self.around[0], orientation="none"
-        ).normals
+        )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal, get_args
 
 import torch
@@ -10,7 +9,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from fullturn.errors import InputError
-from fullturn.geometry.neighbors import gather, knn, radius_neighbors
+from fullturn.geometry.neighbors import gather, knn
 
 Orientation = Literal["origin", "viewpoint", "centroid", "none"]
 
@@ -18,30 +17,20 @@ Orientation = Literal["origin", "viewpoint", "centroid", "none"]
 _NEIGHBORS_AT_ONCE = 1 << 17
 
 
-@dataclass(frozen=True, eq=False)
-class Normals:
-    """Unit normals, and how far each neighborhood is from flat."""
-
-    normals: Float[Tensor, "n 3"]
-    surface_variation: Float[Tensor, " n"]  # smallest eigenvalue over the sum: 0 flat … 1/3 a ball
-
-
 def estimate_normals(
     points: Float[Tensor, "n 3"],
     *,
     neighbor_index: Int[Tensor, "q k"] | None = None,
     k: int = 20,
-    radius: float | None = None,
     orientation: Orientation = "centroid",
     viewpoint: Float[Tensor, "3"] | None = None,
     queries: Float[Tensor, "q 3"] | None = None,
-) -> Normals:
+) -> Float[Tensor, "q 3"]:
     """Normal at each query (default: each point): least variance direction of its neighborhood.
 
     The neighborhood is `neighbor_index` (−1 where a neighbor is missing) or else the `k` nearest
-    points, the query itself included if it is one of them; `radius` keeps only those within it
-    (radius 0.1 and k = 30 is the paper's hybrid neighborhood). With one neighbor, or with all of
-    them on a line, the normal is some unit vector, perpendicular to the line.
+    points, the query itself included if it is one of them. With one neighbor, or with all of them
+    on a line, the normal is some unit vector, perpendicular to the line.
 
     The sign follows `orientation`:
 
@@ -57,10 +46,7 @@ def estimate_normals(
     points = points.detach()
     at = points if queries is None else queries.detach()
     if neighbor_index is None:
-        if radius is None:
-            neighbor_index, _ = knn(at, points, k)
-        else:
-            neighbor_index, _ = radius_neighbors(at, points, radius, max_neighbors=k)
+        neighbor_index, _ = knn(at, points, k)
     elif neighbor_index.shape[0] != at.shape[0]:
         raise InputError(
             f"neighbor_index must have one row per query, {at.shape[0]}, "
@@ -69,13 +55,11 @@ def estimate_normals(
     rows = max(1, _NEIGHBORS_AT_ONCE // neighbor_index.shape[-1])
     parts = zip(at.split(rows), neighbor_index.split(rows), strict=True)
     covariance = torch.cat([_covariance(points, some, index) for some, index in parts])
-    eigenvalues, eigenvectors = eigen_symmetric_3x3(covariance)
-    total = eigenvalues.sum(-1)
-    variation = eigenvalues[:, 0] / torch.where(total > 0, total, 1.0)
+    _, eigenvectors = eigen_symmetric_3x3(covariance)
     normals = _largest_positive(eigenvectors[..., 0])
-    if orientation != "none":
-        normals = oriented(normals, _direction(points, at, orientation, viewpoint))
-    return Normals(normals=normals, surface_variation=variation.clamp(0.0, 1 / 3))
+    if orientation == "none":
+        return normals
+    return oriented(normals, _direction(points, at, orientation, viewpoint))
 
 
 def oriented(
@@ -116,7 +100,7 @@ def eigen_symmetric_3x3(
 
     # 3. Its eigenvector u, and a basis v, w of the plane perpendicular to it.
     u = _null_vector(B, isolated)
-    v = _perpendicular(u)
+    v = perpendicular(u)
     w = torch.linalg.cross(u, v, dim=0)
 
     # 4. The 2×2 problem [vBv vBw; vBw wBw].
@@ -201,8 +185,8 @@ def _null_vector(B: Tensor, eigenvalue: Tensor) -> Tensor:
     return torch.where(best_sq > 0, vector / length, _eye(B)[0])
 
 
-def _perpendicular(u: Tensor) -> Tensor:
-    """Unit vector perpendicular to a unit vector, components first."""
+def perpendicular(u: Float[Tensor, "3 *batch"]) -> Float[Tensor, "3 *batch"]:
+    """Unit vector perpendicular to a unit vector, components first; zero to a zero vector."""
     x, y, z = u
     # Drop the smaller of x and y, so that the length is at least √(1/2).
     drop_y = x.abs() > y.abs()
@@ -213,7 +197,7 @@ def _perpendicular(u: Tensor) -> Tensor:
         torch.where(drop_y, zero, z),
         torch.where(drop_y, x, -y),
     ]
-    return torch.stack(across) / length
+    return torch.stack(across) / torch.where(length > 0, length, 1.0)
 
 
 def _eye(like: Tensor) -> Tensor:

@@ -132,15 +132,29 @@ def _load_file(path: str | os.PathLike[str], samples: int) -> LoadedCloud:
     return LoadedCloud(np.ascontiguousarray(points), tuple(notes), one_line(Path(path).name))
 
 
-def _load_object(thing: Any, samples: int, name: str) -> LoadedCloud:
-    if hasattr(thing, "geometry") and hasattr(thing, "to_mesh"):  # a trimesh.Scene
-        thing = thing.to_mesh()
+def mesh_parts(thing: Any) -> tuple[Any, Any] | None:
+    """Vertices and faces of an object that is a mesh or a scene of some; None for any other."""
+    thing = _of_scene(thing)
     faces = getattr(thing, "faces", getattr(thing, "triangles", None))
-    if faces is not None and hasattr(thing, "vertices") and len(faces):
-        vertices = as_points(thing.vertices, name)
+    if faces is None or not hasattr(thing, "vertices") or len(faces) == 0:
+        return None
+    return thing.vertices, faces
+
+
+def _of_scene(thing: Any) -> Any:
+    """The meshes of a trimesh.Scene as one; anything else as it is."""
+    return thing.to_mesh() if hasattr(thing, "geometry") and hasattr(thing, "to_mesh") else thing
+
+
+def _load_object(thing: Any, samples: int, name: str) -> LoadedCloud:
+    mesh = mesh_parts(thing)
+    if mesh is not None:
+        corners, faces = mesh
+        vertices = as_points(corners, name)
         points, _ = sample_surface(vertices, _triangles(faces, name), samples=samples, name=name)
-        check_pose(points, name, precision=precision_of(np.asarray(thing.vertices).dtype))
+        check_pose(points, name, precision=precision_of(np.asarray(corners).dtype))
         return LoadedCloud(points, (_sampled(name, len(points), len(faces)),), name)
+    thing = _of_scene(thing)
     if _is_tensor(thing):
         thing = _tensor_values(thing, name)
     elif not isinstance(thing, (list, tuple, np.ndarray)) and not hasattr(thing, "__array__"):

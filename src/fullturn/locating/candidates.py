@@ -7,14 +7,13 @@ from dataclasses import dataclass
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from fullturn.geometry import rigid
 from fullturn.locating.model import PreparedModel
 from fullturn.locating.part import take_part
 from fullturn.locating.scene import SceneParts
 from fullturn.locating.search import LocateConfig, find_poses
 from fullturn.locating.verify import measure
 from fullturn.pose.grid import NearestGrid
-from fullturn.pose.kabsch import nearest_rotation
+from fullturn.pose.kabsch import nearest_motion
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,9 +47,10 @@ def candidates(
     part = take_part(scene, members)
     T = find_poses(part, model, model_grid, config)
     measured = measure(T, part, model, model_grid, scene.planes)
-    R = nearest_rotation(T[:, :3, :3].double())
+    T = nearest_motion(T.double())
+    T[:, :3, 3] += part.middle
     return Candidates(
-        rigid.make(R, T[:, :3, 3].double() + part.middle),
+        T,
         measured.features,
         measured.explained,
         measured.visible_share,

@@ -22,7 +22,6 @@ class Described:
 
     points: Float[Tensor, "n 3"]
     normals: Float[Tensor, "n 3"]  # away from the mean of the points
-    area: Float[Tensor, " n"]  # that each point stands for, 1 on average
     descriptors: Float[Tensor, "n c"]  # of unit length
 
 
@@ -45,4 +44,4 @@ def describe(
     found = network_descriptors(level, everyone, spacing=spacing)
     if found is None:
         found = histograms(level, everyone, spacing=spacing)
-    return Described(level.points, level.normals, level.area, found)
+    return Described(level.points, level.normals, found)

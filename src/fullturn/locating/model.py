@@ -183,7 +183,7 @@ def _outside(views: list[View], voxel: float) -> tuple[Tensor, Tensor, Tensor]:
         normals.append(
             estimate_normals(
                 cloud, k=12, orientation="viewpoint", viewpoint=torch.from_numpy(view.eye)
-            ).normals
+            )
         )
         view_of.append(torch.full((len(cloud),), number))
     at, normal, view_number = torch.cat(points), torch.cat(normals), torch.cat(view_of)

@@ -41,7 +41,7 @@ def take_part(scene: SceneParts, members: Bool[Tensor, " n"]) -> Part:
     low, high = points.amin(0) - _AROUND, points.amax(0) + _AROUND
     around = ((scene.points - middle >= low) & (scene.points - middle <= high)).all(1)
     every = (scene.points - middle)[around]
-    normals = estimate_normals(every, k=min(20, len(every)), orientation="none").normals.float()
+    normals = estimate_normals(every, k=min(20, len(every)), orientation="none").float()
     grid = NearestGrid(
         every.float(),
         normals,

@@ -90,7 +90,7 @@ def _largest(points: Tensor, rest: Tensor, spacing: float) -> Plane:
     among = points[rest]
     some = among[:: -(-len(among) // _COUNTED)]
     # Wide neighborhoods: noise tilts small ones.
-    normals = estimate_normals(some, k=min(40, len(some)), orientation="none").normals
+    normals = estimate_normals(some, k=min(40, len(some)), orientation="none")
     every = slice(None, None, -(-len(some) // _CANDIDATES))
     heights = some @ normals[every].T - (some[every] * normals[every]).sum(1)
     # Across an object, a plane meets surfaces of any direction.

@@ -122,7 +122,7 @@ class _Sampled:
         self._part, self._model, self._grid = part, model, model_grid
         rows = evenly(len(part.points), count)
         self._points = part.points[rows]
-        self._share = part.area[rows] / part.area[rows].sum()
+        self._part_area = part.area[rows]
         # A view sees about a third of the outside.
         rows = evenly(len(model.surface), 3 * count)
         self._surface, self._area = model.surface[rows], model.area[rows]
@@ -145,7 +145,7 @@ class _Sampled:
     def score(self, T: Tensor, *, truncation: float) -> Tensor:
         """How well the part lies on the model, and what is visible of the model on the scene."""
         there = hypotheses.score_poses(
-            self._points, self._share, self._grid, rigid.invert(T), truncation=truncation
+            self._points, self._part_area, self._grid, rigid.invert(T), truncation=truncation
         )
         explained = self._explained(T, truncation=truncation)
         seen, _ = self.views(T, explained)

@@ -12,7 +12,7 @@ import numpy as np
 
 from fullturn.geometry.extent import center_and_radius, far_from_the_rest
 from fullturn.io import load_cloud
-from fullturn.io.load import MESH_SUFFIXES, read_raw
+from fullturn.io.load import MESH_SUFFIXES, mesh_parts, read_raw
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,9 +69,7 @@ def _mesh_file(path: Path) -> tuple[np.ndarray, np.ndarray] | None:
 
 
 def _mesh_object(model: Any) -> tuple[np.ndarray, np.ndarray] | None:
-    if hasattr(model, "geometry") and hasattr(model, "to_mesh"):  # a trimesh.Scene
-        model = model.to_mesh()
-    faces = getattr(model, "faces", getattr(model, "triangles", None))
-    if faces is None or not hasattr(model, "vertices") or len(faces) == 0:
+    mesh = mesh_parts(model)
+    if mesh is None:
         return None
-    return np.asarray(model.vertices, dtype=np.float64), np.asarray(faces, dtype=np.int64)
+    return np.asarray(mesh[0], dtype=np.float64), np.asarray(mesh[1], dtype=np.int64)

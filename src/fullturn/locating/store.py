@@ -6,7 +6,6 @@ import hashlib
 import json
 import os
 from dataclasses import asdict
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -132,5 +131,5 @@ def _config(stored: dict[str, Any]) -> ModelConfig:
 
 def _descriptor_hash() -> str:
     """Of the descriptor's weights: descriptors of different ones cannot be compared."""
-    path = resources.files("fullturn") / "weights" / "descriptor.safetensors"
+    path = packaged_weights("descriptor.safetensors")
     return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else "histogram"

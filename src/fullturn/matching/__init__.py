@@ -1,1 +1,1 @@
-"""matching"""
+"""Matches between the descriptors of two clouds."""

@@ -1,1 +1,1 @@
-"""methods"""
+"""Registration methods, all behind one contract."""

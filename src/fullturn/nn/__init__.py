@@ -1,1 +1,1 @@
-"""The paper's network, from clouds to the descriptors of their points."""
+"""Networks: the paper's, and the default method's descriptors and evidence."""

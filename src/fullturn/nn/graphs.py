@@ -195,7 +195,7 @@ def _normals(posed: Rows, neighbors: Tensor, distances: Tensor, config: GMCNetCo
                 cloud,
                 neighbor_index=torch.where(some < 0, MISSING, some - start),
                 orientation=config.orientation,
-            ).normals
+            )
             for cloud, some, start in clouds
         ]
     )

@@ -1,1 +1,1 @@
-"""pose"""
+"""Poses: hypotheses, refinement, verification, the verdict."""

@@ -20,7 +20,7 @@ def find_and_judge(
     similarity: Similarity | None = None,
     max_rotation_rad: float | None = None,
 ) -> tuple[Finalists, Judged]:
-    """The finalists, and how probable each one is; arguments as of `search.find_finalists`."""
+    """The finalists, and how probable each one is; arguments as of `Search`."""
     search = Search(
         source, target, config=config, similarity=similarity, max_rotation_rad=max_rotation_rad
     )

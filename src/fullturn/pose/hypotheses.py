@@ -17,6 +17,7 @@ from fullturn.pose.planes import move_planes, squared_falloff, turn_planes
 
 # Poses scored at once: their transformed points then stay in the processor's cache.
 _POSES_AT_ONCE = 128
+_ANGLE_TOLERANCE = 0.4  # of two normals, in |cosine|
 _COUNTED = 5  # one in so many matches counts for the agreement of two others
 
 
@@ -52,13 +53,12 @@ def compatibility(
     matched: MatchedPoints,
     *,
     length_tolerance: float,
-    angle_tolerance: float = 0.4,
     max_rotation_rad: float | None = None,
 ) -> Float[Tensor, "k k"]:
     """How well any two matches agree on one rigid motion, in [0, 1].
 
     A rigid motion keeps the distance of two points and the angle of their normals (up to sign).
-    Agreement falls off as 1 − (difference/tolerance)², `angle_tolerance` being in |cosine|. Two
+    Agreement falls off as 1 − (difference/tolerance)², the tolerance being 0.4 in |cosine|. Two
     matches closer together than `length_tolerance` say nothing about rotation and get 0, and so do
     two whose motion turns the line between them by more than `max_rotation_rad`.
     """
@@ -73,7 +73,7 @@ def compatibility(
     agreement = _falloff(source_length - target_length, length_tolerance)
     source_cosine = (matched.source_normals @ matched.source_normals.T).abs_()
     target_cosine = (matched.target_normals @ matched.target_normals.T).abs_()
-    agreement *= _falloff(source_cosine - target_cosine, angle_tolerance)
+    agreement *= _falloff(source_cosine - target_cosine, _ANGLE_TOLERANCE)
     return agreement * allowed
 
 

@@ -45,8 +45,7 @@ def weighted_kabsch(
     scaled = torch.where(known, covariance / scale, torch.zeros_like(covariance))
     rotation = nearest_rotation(scaled)
     translation = target_mean.mT - rotation @ source_mean.mT
-    bottom = source.new_tensor([[0.0, 0.0, 0.0, 1.0]]).expand(*source.shape[:-2], 1, 4)
-    return torch.cat([torch.cat([rotation, translation], -1), bottom], -2)
+    return rigid.make(rotation, translation.squeeze(-1))
 
 
 def nearest_rotation(matrix: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch 3 3"]:
@@ -55,9 +54,9 @@ def nearest_rotation(matrix: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*bat
     return rotation
 
 
-def nearest_motion(T: Float[Tensor, "*batch 4 4"]) -> Float[Tensor, "*batch 4 4"]:
+def nearest_motion(T_a_b: Float[Tensor, "*batch 4 4"]) -> Float[Tensor, "*batch 4 4"]:
     """The motion without the rounding of many products: its rotation is one to the last digit."""
-    return rigid.make(nearest_rotation(T[..., :3, :3]), T[..., :3, 3])
+    return rigid.make(nearest_rotation(T_a_b[..., :3, :3]), T_a_b[..., :3, 3])
 
 
 class _NearestRotation(torch.autograd.Function):

@@ -86,7 +86,7 @@ def make_level(points: Float[Tensor, "p 3"], support: Cloud) -> Level:
     wide, _ = support.index.knn(points, min(_NEIGHBORS, len(support.points)))
     normals = estimate_normals(
         support.points, queries=points, neighbor_index=wide, orientation="centroid"
-    ).normals
+    )
     around, distance = NeighborIndex(points).knn(points, min(_NEIGHBORS, len(points)))
     area = local_area(points, distance=distance)
     return Level(points.float(), normals.float(), area.float(), around)

@@ -6,9 +6,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 
-def move_planes(T: Float[Tensor, "k 4 4"], points: Float[Tensor, "3 n"]) -> Float[Tensor, "3 k n"]:
+def move_planes(
+    T_a_b: Float[Tensor, "k 4 4"], points: Float[Tensor, "3 n"]
+) -> Float[Tensor, "3 k n"]:
     """R p + t of every pose and point."""
-    return turn_planes(T[:, :3, :3], points).add_(T[:, :3, 3].T.unsqueeze(-1))
+    return turn_planes(T_a_b[:, :3, :3], points).add_(T_a_b[:, :3, 3].T.unsqueeze(-1))
 
 
 def turn_planes(R: Float[Tensor, "k 3 3"], vectors: Float[Tensor, "3 n"]) -> Float[Tensor, "3 k n"]:

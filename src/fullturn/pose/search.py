@@ -93,26 +93,23 @@ def find_finalists(
     target: Cloud,
     *,
     config: SearchConfig = SearchConfig(),
-    similarity: Similarity | None = None,
     max_rotation_rad: float | None = None,
     given: Float[Tensor, "g 4 4"] | None = None,
 ) -> Finalists:
     """Search the full range of poses; deterministic, no starting guess, no radius to tune.
 
-    `similarity` finds the matches in place of the descriptor that the configuration names.
     `max_rotation_rad` is the largest rotation that is possible, where somebody knows one. Poses
     `given` from elsewhere are measured as they are, with those found, and come first.
     """
-    search = Search(
-        source, target, config=config, similarity=similarity, max_rotation_rad=max_rotation_rad
-    )
+    search = Search(source, target, config=config, max_rotation_rad=max_rotation_rad)
     return search.finalists(config, given=given)
 
 
 class Search:
     """Two clouds and all hypotheses of their pose, out of which finalists are chosen.
 
-    Arguments as of `find_finalists`.
+    Arguments as of `find_finalists`; `similarity` finds the matches in place of the descriptor that
+    the configuration names.
     """
 
     def __init__(

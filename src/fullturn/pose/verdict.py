@@ -6,7 +6,6 @@ import json
 import math
 from dataclasses import dataclass, fields
 from functools import cache
-from importlib import resources
 
 import torch
 from jaxtyping import Bool, Float
@@ -235,8 +234,7 @@ def load_weights(
     from safetensors import safe_open
 
     name = file.removesuffix(".safetensors")
-    path = resources.files("fullturn") / "weights" / file
-    with resources.as_file(path) as place, safe_open(place, framework="pt") as stored:
+    with safe_open(packaged_weights(file), framework="pt") as stored:
         names = json.loads(stored.metadata()["features"])
         if names != list(features):
             raise FullturnError(

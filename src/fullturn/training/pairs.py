@@ -67,11 +67,12 @@ class RunPairs:
         order = indices[self._order(place, number // len(indices))]
         pool = self._pools.get((place, protocol.name))
         make = partial(make_pair, protocol, source, rng=rng, pool=pool)
-        following = np.roll(order, -(number % len(indices)))[:_REPLACEMENTS].tolist()
-        for index in following[:-1] if protocol.crop == "views" else []:
+        tries = _REPLACEMENTS if protocol.crop == "views" else 1
+        *others, last = np.roll(order, -(number % len(indices)))[:tries].tolist()
+        for index in others:
             with suppress(InputError):
                 return make(index)
-        return make(following[-1] if protocol.crop == "views" else following[0])
+        return make(last)
 
     @property
     def count(self) -> int:
@@ -122,11 +123,9 @@ class RunPairs:
 
     @cached_property
     def _places(self) -> list[tuple[ShapeSource, np.ndarray]]:
-        own = self._part == "validation" and bool(self._validation.shapes)
-        configs = self._validation.shapes if own else self._data.shapes
         share = 0.0 if self._validation.shapes else self._validation.share
         places = []
-        for config in configs:
+        for config in self._configs:
             source = _open(config, self._folder)
             indices = self._allowed(source, config)
             if share > 0.0:
@@ -144,9 +143,13 @@ class RunPairs:
 
     @cached_property
     def _shares(self) -> np.ndarray:
-        own = self._part == "validation" and bool(self._validation.shapes)
-        shares = [p.share for p in (self._validation if own else self._data).shapes]
+        shares = [config.share for config in self._configs]
         return np.array(shares) / sum(shares)
+
+    @property
+    def _configs(self) -> tuple[ShapesConfig, ...]:
+        own = self._part == "validation" and bool(self._validation.shapes)
+        return self._validation.shapes if own else self._data.shapes
 
     def _allowed(self, source: ShapeSource, config: ShapesConfig) -> np.ndarray:
         # This says what shapes a protocol can't be drawn from.

@@ -1,1 +1,1 @@
-"""viz"""
+"""Pictures and HTML reports."""

@@ -10,7 +10,7 @@ import numpy as np
 from fullturn.geometry.motion import move
 from fullturn.io.atomic import check_output, write_atomic
 from fullturn.viz.canvas import new_figure
-from fullturn.viz.scene import angle_axis, make_scene, viewing_axes
+from fullturn.viz.scene import make_scene, viewing_axes
 from fullturn.viz.tables import probability
 
 if TYPE_CHECKING:
@@ -138,7 +138,7 @@ def draw_figure(
 
 def headline(registration: Registration) -> str:
     """Say in one line what came out: rotation, probability, overlap."""
-    angle, _ = angle_axis(registration.T_target_source)
+    angle = float(rotation_angle_deg(registration.T_target_source[:3, :3]))
     source, target = registration.overlap
     return (
         f"Rotation {angle:.1f}°, probability {probability(registration.success_probability)}, "

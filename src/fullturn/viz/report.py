@@ -86,7 +86,7 @@ def render_report(
             probability=tables.probability(registration.success_probability),
             probability_bar=tables.probability_bar(registration),
             probability_note=tables.probability_note(registration),
-            notes=tables.notes(registration),
+            notes=tables.notes(registration.notes),
             pose_rows=tables.pose_rows(registration, length),
             agreement_rows=tables.agreement_rows(
                 registration, scene.source_total, scene.target_total

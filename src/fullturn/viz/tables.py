@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import html
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fullturn.geometry.motion import invert
+from fullturn.geometry.motion import invert, rotation_angle_deg
 from fullturn.viz.scene import angle_axis
 
 if TYPE_CHECKING:
@@ -98,11 +98,11 @@ def probability_note(registration: Registration) -> str:
     return f"{meaning} That it is this one or {others} below: {text(probability(min(total, 1.0)))}."
 
 
-def notes(registration: Registration) -> str:
+def notes(lines: Sequence[str]) -> str:
     """Return the notes as a list, or nothing."""
-    if not registration.notes:
+    if not lines:
         return ""
-    return f"<ul class='notes'>{''.join(f'<li>{text(n)}</li>' for n in registration.notes)}</ul>"
+    return f"<ul class='notes'>{''.join(f'<li>{text(line)}</li>' for line in lines)}</ul>"
 
 
 def pose_rows(registration: Registration, length: Callable[[float], str]) -> str:
@@ -185,7 +185,7 @@ def alternatives(registration: Registration, *, first_view: int, views: int) -> 
     back = invert(registration.T_target_source)
     lines = []
     for i, other in enumerate(registration.alternatives):
-        angle, _ = angle_axis(back @ other.T_target_source)
+        angle = float(rotation_angle_deg((back @ other.T_target_source)[:3, :3]))
         button = f"<button type='button' class='small' data-view='{first_view + i}'>Show</button>"
         lines.append(
             f"<tr><th scope='row'>{i + 1}</th><td>{text(probability(other.success_probability))}"

@@ -1,1 +1,1 @@
-"""classical"""
+"""Classical methods of our own."""

@@ -82,7 +82,7 @@ class _Icp(Method):
         normals = None
         if self.to_plane:
             k = min(self.config.neighbors, len(thin))
-            normals = estimate_normals(thin, k=k, orientation="none").normals
+            normals = estimate_normals(thin, k=k, orientation="none")
         return _Side(thin, NeighborIndex(thin), normals)
 
 

@@ -1,1 +1,1 @@
-"""external"""
+"""Methods of other packages."""

@@ -1,1 +1,1 @@
-"""learned"""
+"""The paper's network as a method."""

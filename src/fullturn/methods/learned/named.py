@@ -61,7 +61,7 @@ class Gmcnet(_Learned):
 
 
 class GmcnetConsensus(_Learned, Consensus):
-    """The default method with the network's scores in place of the handcrafted descriptor."""
+    """The default method with the network's scores in place of its own descriptors."""
 
     summary = "GMCNet's descriptors as matches for the search of the default method"
 

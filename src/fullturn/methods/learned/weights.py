@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import json
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
-import torch
-from safetensors import SafetensorError, safe_open
+from safetensors import SafetensorError
 
 from fullturn.errors import InputError, ReadError, one_line
 from fullturn.methods.learned.gmcnet import GMCNet
 from fullturn.nn.config import GMCNetConfig
+from fullturn.nn.packaged import packaged_weights, read_network
 
 RUN_FILE = "weights.safetensors"  # of a run's folder
 _PREFIX, _SUFFIX = "gmcnet-", ".safetensors"
@@ -21,8 +19,7 @@ _KEY = "gmcnet"  # of the metadata: the shape of the network as JSON
 
 def shipped() -> tuple[str, ...]:
     """The names of the weights inside the package."""
-    folder = Path(str(resources.files("fullturn"))) / "weights"
-    found = sorted(folder.glob(f"{_PREFIX}*{_SUFFIX}"))
+    found = sorted(packaged_weights("").glob(f"{_PREFIX}*{_SUFFIX}"))
     return tuple(path.name.removeprefix(_PREFIX).removesuffix(_SUFFIX) for path in found)
 
 
@@ -33,7 +30,7 @@ def find_weights(name: str) -> Path:
         InputError: neither a name nor a .safetensors file.
     """
     if name in shipped():
-        return Path(str(resources.files("fullturn"))) / "weights" / f"{_PREFIX}{name}{_SUFFIX}"
+        return packaged_weights(f"{_PREFIX}{name}{_SUFFIX}")
     path = Path(name)
     if path.suffix == _SUFFIX and path.is_file():
         return path
@@ -51,20 +48,14 @@ def load_gmcnet(path: Path) -> GMCNet:
         ReadError: not such a file, another network, or weights that don't fit.
     """
     try:
-        with safe_open(path, framework="pt") as file:
-            table = json.loads((file.metadata() or {})[_KEY])
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-        # The weights that are drawn here are overwritten; the caller's generator stays as it was.
-        with torch.random.fork_rng(devices=[]):
-            network = GMCNet(_config(table))
-        network.load_state_dict(tensors, strict=True)
+        network = read_network(path, _KEY, lambda table: GMCNet(_config(table)))
     except (OSError, SafetensorError, ValueError, KeyError, TypeError, RuntimeError) as error:
         told = one_line(error)[:300]
         raise ReadError(
             f"expected weights of GMCNet in {path}, as `fullturn train` writes them; reading gives "
             f"{type(error).__name__}: {told}"
         ) from error
-    return network.eval().requires_grad_(False)
+    return network.requires_grad_(False)
 
 
 def _config(table: dict[str, Any]) -> GMCNetConfig:
