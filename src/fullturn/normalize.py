@@ -12,6 +12,7 @@ from fullturn.geometry.extent import center_and_radius, far_from_the_rest
 from fullturn.geometry.motion import skew
 
 _UNLIKE = 10.0
+_FARTHEST_EYE = 1e6
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +91,11 @@ def _cloud(
     def seen(values: np.ndarray) -> torch.Tensor:
         return torch.from_numpy((values - center) / length)
 
-    return Cloud(seen(points), None if viewpoint is None else seen(viewpoint))
+    if viewpoint is None:
+        return Cloud(seen(points))
+    eye = seen(viewpoint)
+    # From so far away, nothing changes any more but the rounding.
+    return Cloud(seen(points), eye * min(1.0, _FARTHEST_EYE / max(float(eye.abs().max()), 1.0)))
 
 
 def _stray_notes(

@@ -227,3 +227,14 @@ def test_a_real_interrupt_exits_with_130(files: list[str]) -> None:
     _, err = process.communicate(timeout=30)
     assert process.returncode == 130
     assert err == "fullturn: interrupted\n"
+
+
+def test_output_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
+    if not Path("/dev/full").exists():
+        pytest.skip("no /dev/full here")
+    command = [sys.executable, "-c", "from fullturn.cli.main import main; main()", "methods"]
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+    assert done.returncode == 1
+    assert len(done.stderr.splitlines()) == 1
+    assert "cannot write the output" in done.stderr

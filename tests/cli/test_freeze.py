@@ -71,3 +71,13 @@ def test_known_errors_leave_no_file(run, tmp_path):
     with pytest.raises(InputError, match="expected protocols out of"):
         run(*made(tmp_path / "pairs.npz", protocol="modelnet40/180"))
     assert list(tmp_path.iterdir()) == []
+
+
+def test_it_writes_over_none_of_its_inputs(run, tmp_path):
+    out = tmp_path / "pairs.npz"
+    run(*made(out))
+    content = out.read_bytes()
+    for told in (["--pairs", str(out)], ["--protocol", NAME, "--shapes", f"{out}:train"]):
+        with pytest.raises(WriteError, match="this is an input"):
+            run(*told, "--out", str(out))
+    assert out.read_bytes() == content

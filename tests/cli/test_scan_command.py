@@ -186,3 +186,12 @@ def test_what_cannot_be_done_is_named(run, cube, tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(WriteError, match="cannot make the folder"):
         run(cube, "--out", tmp_path / "file", *QUICK)
+
+
+def test_it_writes_over_no_mesh(run, tmp_path):
+    mesh = tmp_path / "view_01.ply"
+    trimesh.creation.box(extents=(2, 2, 2)).export(mesh)
+    content = mesh.read_bytes()
+    with pytest.raises(WriteError, match="is an input"):
+        run(mesh, "--out", tmp_path, *QUICK)
+    assert mesh.read_bytes() == content

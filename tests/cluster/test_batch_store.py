@@ -75,6 +75,18 @@ def test_what_isnt_the_part_is_made_again(tmp_path: Path) -> None:
     for wrong in (b"", content[:-30], content[: len(content) // 2], b"PAR1", b"text" * 99):
         path.write_bytes(wrong)
         assert store.tally(0, first) is None
+    flipped = 0
+    for place in range(0, len(content), 7):  # one bit at a time
+        wrong = bytearray(content)
+        wrong[place] ^= 0x10
+        path.write_bytes(wrong)
+        found = store.tally(0, first)
+        flipped += found is None
+        if found is not None:
+            whole = pq.read_table(path).to_pylist()
+            path.write_bytes(content)
+            assert whole == pq.read_table(path).to_pylist(), place
+    assert flipped > 20
     path.write_bytes(content)
     assert store.tally(0, first) is not None
     assert store.tally(0, second) is None  # other rows

@@ -16,7 +16,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from run_folders import set_part, summary, write_run
 
 from fullturn.errors import FullturnError, InputError, ReadError
-from fullturn.evaluation import paper
+from fullturn.evaluation import metrics, paper
 from fullturn.evaluation.folders import SetResult, read_pairs, read_runs
 from fullturn.evaluation.layout import Table, html_section, latex, latex_text, markdown
 from fullturn.evaluation.notes import made_from

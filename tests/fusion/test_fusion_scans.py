@@ -42,3 +42,16 @@ def test_what_is_left_out_has_its_folder_where_names_repeat(tmp_path: Path) -> N
 def test_one_path_alone_is_no_list() -> None:
     with pytest.raises(InputError, match="at least 2 scans, got a str"):
         check_scans("a.ply")
+
+
+@pytest.mark.parametrize("offset", [0.0, 1e7])
+def test_the_same_points_in_another_order_or_precision_are_the_same(offset: float) -> None:
+    rng = np.random.default_rng(0)
+    one, other = (rng.normal(size=(300, 3)) + offset for _ in range(2))
+    mixed = one[rng.permutation(300)]
+    scans, notes = check_scans([one, mixed, other])
+    assert [scan.name for scan in scans] == ["scan 1", "scan 3"]
+    assert notes[0] == "left out scan 2: it holds the same points as scan 1"
+    if offset == 0.0:
+        scans, notes = check_scans([one, mixed.astype(np.float32), other])
+        assert [scan.name for scan in scans] == ["scan 1", "scan 3"]

@@ -262,3 +262,23 @@ def test_npy_in_fortran_order_of_version_2(tmp_path: Path) -> None:
     np.lib.format.write_array(stream, np.asfortranarray(POINTS), version=(2, 0))
     (tmp_path / "a.npy").write_bytes(stream.getvalue())
     np.testing.assert_array_equal(load_cloud(tmp_path / "a.npy").points, POINTS)
+
+
+def test_off_may_have_its_counts_on_the_first_line(tmp_path: Path) -> None:
+    path = tmp_path / "a.off"
+    corners = "0 0 0\n1 0 0\n0 1 0\n0 0 1\n"
+    faces = "3 0 1 2\n3 0 1 3\n3 0 2 3\n3 1 2 3\n"
+    for first in ("OFF4 4 0", "OFF\n4 4 0"):
+        path.write_text(f"{first}\n{corners}{faces}")
+        loaded = load_cloud(path)
+        assert "4 triangles" in loaded.notes[0]
+    path.write_text(f"OFF4 0 0\n{corners}")
+    assert len(load_cloud(path).points) == 4
+
+
+def test_npy_of_a_negative_shape(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", np.ones((50, 3)))
+    data = (tmp_path / "a.npy").read_bytes().replace(b"(50, 3)", b"(-5,-3)")
+    (tmp_path / "a.npy").write_bytes(data)
+    with pytest.raises(ReadError, match="damaged"):
+        load_cloud(tmp_path / "a.npy")

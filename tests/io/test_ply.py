@@ -106,3 +106,17 @@ def test_a_million_points_load_within_a_second_or_so(tmp_path: Path) -> None:
     loaded = load_cloud(tmp_path / "large.ply")
     assert time.perf_counter() - begin < 3.0  # 0.3 s on a quiet machine
     np.testing.assert_array_equal(loaded.points, cloud)
+
+
+def test_a_comment_may_say_end_header(points: np.ndarray) -> None:
+    data = ply_bytes(points).replace(b"ply\n", b"ply\ncomment before end_header\n", 1)
+    np.testing.assert_array_equal(read_ply(data, "a.ply").points, points)
+
+
+@pytest.mark.parametrize("count", [np.nan, np.inf, -1.0])
+@pytest.mark.parametrize("good", [0, 1])
+def test_a_list_of_no_length_is_damage(count: float, good: int) -> None:
+    head = header("binary_little_endian", 0, "element face 2", "property list float int corner")
+    rows = struct.pack("<f3i", 3.0, 0, 1, 2) * good + struct.pack("<f3i", count, 0, 1, 2)
+    with pytest.raises(ReadError, match="truncated or damaged"):
+        read_ply(head + rows + struct.pack("<f3i", 3.0, 0, 1, 2), "a.ply")

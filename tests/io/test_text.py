@@ -129,3 +129,11 @@ def test_commas_and_spaces_separate(text: str) -> None:
 @pytest.mark.parametrize("text", ["", "-", "1,2", "1 2 3 4", "1,2,x", "1,2,nan", "1,2,inf", "1;2"])
 def test_anything_else_is_none(text: str) -> None:
     assert three_numbers(text) is None
+
+
+def test_numbers_of_columns_above_decimals_are_a_header() -> None:
+    found = read_text(("0,1,2\n" + "0.5,1,2\n" * 3).encode(), "a.csv")
+    np.testing.assert_array_equal(found.points, [[0.5, 1, 2]] * 3)
+    assert "numbers the columns" in found.notes[0]
+    whole = read("0,1,2\n3,4,5\n")
+    np.testing.assert_array_equal(whole, [[0, 1, 2], [3, 4, 5]])

@@ -118,6 +118,11 @@ def test_wrong_files_are_refused(
     other.write_bytes(path.read_bytes()[:1000])
     with pytest.raises(ReadError, match="cannot read it"):
         store.load_prepared(other)
+    damaged = bytearray(path.read_bytes())
+    damaged[-5] ^= 0x40  # one bit of its numbers
+    other.write_bytes(damaged)
+    with pytest.raises(ReadError, match="aren't those that were written"):
+        store.load_prepared(other)
     save_file(load_file(path), other, metadata={"kind": store._KIND, "version": "0"})
     with pytest.raises(ReadError, match="version 0"):
         store.load_prepared(other)
@@ -126,6 +131,11 @@ def test_wrong_files_are_refused(
         store.load_prepared(path)
     with pytest.raises(WriteError, match="safetensors"):
         dog_model.save(tmp_path / "dog.npz")
+
+
+def test_a_rod_between_few_pixels_is_seen() -> None:
+    rod = prepare(trimesh.creation.cylinder(0.01, 2.0), config=SMALL)
+    assert len(rod.directions) == SMALL.views
 
 
 @pytest.mark.parametrize(

@@ -299,3 +299,31 @@ def test_stages_are_timed() -> None:
         "verdict",
         "fine",
     } <= (set(seconds))
+
+
+def bumpy(count: int, seed: int) -> np.ndarray:
+    """Points of a blob with bumps all over, which fits onto itself in one way only."""
+    d = np.random.default_rng(seed).normal(size=(count, 3))
+    d /= np.linalg.norm(d, axis=1, keepdims=True)
+    x, y = d[:, :1], d[:, 1:2]
+    nose = np.exp(-8.0 * np.square(d - [0.5, 0.6, 0.62]).sum(1, keepdims=True))
+    return d * (1.0 + 0.3 * np.sin(3 * x + 1) * np.cos(2 * y) + 0.4 * nose) * [1.0, 1.2, 0.8]
+
+
+@pytest.mark.parametrize("copies", [8, 20])
+def test_copies_of_every_point_spoil_nothing(copies: int) -> None:
+    source, target, T_true = bumpy(1000, 0), bumpy(1000, 1), true_pose(7)
+    source, target = source[source[:, 0] > -0.3], target[target[:, 1] > -0.5]
+    found = fullturn.register(np.repeat(source, copies, axis=0), move(T_true, target))
+    assert found.success_probability > 0.9
+    assert angle_deg(found.T_target_source, T_true) < 0.5
+
+
+def test_a_sensor_may_stand_anywhere() -> None:
+    rng = np.random.default_rng(0)
+    source, target = (sample_surface(demo_object(), 300, rng) for _ in range(2))
+    said = {
+        fullturn.register(source, target, source_viewpoint=(0, 0, far)).success_probability
+        for far in (1e8, 1e40, 1e200)
+    }
+    assert max(said) - min(said) < 1e-6

@@ -220,7 +220,11 @@ def test_weights_for_other_features_are_refused(name: str) -> None:
 
 
 def test_a_cloud_of_copies_has_the_size_of_what_they_are_copies_of() -> None:
-    corners = torch.cat([torch.eye(3), -torch.eye(3)]).double()
+    ends = torch.tensor([-1.0, 1.0])
+    corners = torch.cat(
+        [torch.eye(3), -torch.eye(3), torch.cartesian_prod(ends, ends, ends) / 3**0.5]
+    )
+    corners = corners.double()
     crowded = Cloud(torch.cat([corners, torch.zeros(1000, 3).double()]))
     probability = torch.tensor([0.6, 0.3]).double()
     for pair in ((crowded, Cloud(corners.repeat(3, 1))), (Cloud(corners.repeat(3, 1)), crowded)):
@@ -230,3 +234,16 @@ def test_a_cloud_of_copies_has_the_size_of_what_they_are_copies_of() -> None:
     found, notes = limited(probability, crowded, Cloud(100 * corners.repeat(3, 1)))
     assert "times as large" in notes[0]
     assert float(found.sum()) == pytest.approx(0.2)
+
+
+def test_copies_of_a_few_points_are_few_points() -> None:
+    few = Cloud(torch.eye(3).double().repeat(20, 1))
+    found, notes = limited(torch.tensor([0.9]).double(), few, few)
+    assert "fewer than 12 points" in notes[0]
+    assert float(found.sum()) == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize("limit_rad", [1e-120, 1e-300])
+def test_the_smallest_limits_have_a_prior(limit_rad: float) -> None:
+    prior = log_rotation_prior(torch.eye(4).double()[None], limit_rad)
+    assert bool(torch.isfinite(prior).all())

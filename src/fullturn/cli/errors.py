@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import io
 import sys
 from collections.abc import Callable
 from typing import Any
@@ -20,9 +21,17 @@ def known_errors(command: Callable[..., Any]) -> Callable[..., Any]:
     @functools.wraps(command)
     def guarded(*args: Any, **options: Any) -> Any:
         try:
-            return command(*args, **options)
+            result = command(*args, **options)
+            sys.stdout.flush()
+            return result
         except FullturnError as error:
             tell(f"error: {error}")
+            raise typer.Exit(KNOWN_ERROR) from None
+        except BrokenPipeError:
+            raise
+        except OSError as error:  # files are named by the code that reads or writes them
+            sys.stdout = io.StringIO()  # or the interpreter says it again when it ends
+            tell(f"error: cannot write the output: {error.strerror or error}")
             raise typer.Exit(KNOWN_ERROR) from None
         except KeyboardInterrupt:
             tell("interrupted")

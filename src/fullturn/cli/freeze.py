@@ -39,13 +39,11 @@ def freeze(
     if (protocol is None) != (shapes is None) or (protocol is None) == (pairs is None):
         raise typer.BadParameter("expected --protocol with --shapes, or --pairs alone")
 
-    from fullturn.io.atomic import check_output
-
-    # Before the work, so that no result is lost to a wrong file name.
-    check_output(out, (".npz",))
-
+    from fullturn.cli.outputs import check_outputs
     from fullturn.data.frozen import freeze as write
-    from fullturn.data.open import open_pairs, open_shapes, protocol_pairs
+    from fullturn.data.open import open_pairs, open_shapes, place_of, protocol_pairs
+
+    check_outputs((out, (".npz",)), inputs=(place_of(shapes), place_of(pairs)))
 
     if pairs is not None:
         made = open_pairs(pairs)

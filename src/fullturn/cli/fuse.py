@@ -116,7 +116,7 @@ def _read_viewpoints(path: Path, count: int) -> list[tuple[float, ...] | None]:
     from fullturn.io.text import three_numbers
 
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise ReadError(f"cannot read the viewpoints {path}: {error}; check the file") from error
     places: list[tuple[float, ...] | None] = []

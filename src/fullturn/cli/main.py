@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import sys
 from importlib import import_module
 from typing import Annotated, Any
@@ -67,6 +68,9 @@ def main() -> None:
     Exit codes: 0 done, 1 known error (one line on standard error), 2 wrong usage, 3 done but below
     --min-probability, 130 interrupted.
     """
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # a terminal that knows no ° shows "?"
     try:
         build_app()()
     except KeyboardInterrupt:

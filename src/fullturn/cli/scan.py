@@ -49,6 +49,7 @@ def scan(
 
     import numpy as np
 
+    from fullturn.cli.outputs import check_outputs
     from fullturn.cli.render import draw
     from fullturn.data.sensor import Sensor
     from fullturn.data.views import view_mesh
@@ -72,10 +73,11 @@ def scan(
     make_folder(out)
 
     digits = max(2, len(str(views - 1)))
+    names = [f"view_{number:0{digits}d}" for number in range(views)]
+    check_outputs(*((out / f"{name}.ply", (".ply",)) for name in names), inputs=(mesh,))
     entries, depths = [], []
     with progress_bar("scanning", views) as advance:
-        for number, view in enumerate(scans):
-            name = f"view_{number:0{digits}d}"
+        for name, view in zip(names, scans, strict=True):
             entries.append({"name": name, **_entry(view)})
             if len(view.points_camera):
                 save_cloud(out / f"{name}.ply", view.points_camera)

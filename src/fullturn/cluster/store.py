@@ -102,7 +102,7 @@ class Store:
         if not path.is_file():
             return None
         try:
-            found = pq.read_table(path)
+            found = pq.read_table(path, page_checksum_verification=True)
         except (OSError, pa.ArrowException):
             return None
         if found.schema != result_schema() or found["id"].to_pylist() != [row.id for row in rows]:
@@ -119,7 +119,8 @@ class Store:
         import pyarrow.parquet as pq
 
         buffer = io.BytesIO()
-        pq.write_table(pa.Table.from_pylist(list(results), schema=result_schema()), buffer)
+        table = pa.Table.from_pylist(list(results), schema=result_schema())
+        pq.write_table(table, buffer, write_page_checksum=True)
         write_atomic(self._path(number), buffer.getvalue())
         return _tally(results)
 

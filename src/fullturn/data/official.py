@@ -15,6 +15,7 @@ from fullturn.data.pair_set import PairSet
 from fullturn.data.provenance import sha256_of_file, sha256_of_files
 from fullturn.data.stored import MODELNET40_LICENSE, StoredPoints
 from fullturn.errors import InputError, ReadError
+from fullturn.geometry.motion import rotation_angle_deg
 
 _ANGLE_SLACK_DEG = 0.01  # the transforms are stored in single precision
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from fullturn.data.draw import ProtocolPairs
@@ -175,6 +176,16 @@ def find(path: str, *, expected: str) -> Path:
         f"expected {expected}; got {path!r}, found nothing at "
         f"{' or '.join(str(place) for place in places)}; check the path{hint}"
     )
+
+
+def place_of(spec: str | None) -> Path | None:
+    """The file or folder that a text for `open_shapes` or `open_pairs` names, if it is there."""
+    if spec is None:
+        return None
+    for path in (spec, _split_part(spec)[0]):
+        with suppress(ReadError):
+            return find(path, expected=_SHAPES)
+    return None
 
 
 def _split_part(spec: str) -> tuple[str, str | None]:

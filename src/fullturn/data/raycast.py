@@ -94,7 +94,7 @@ def to_object(points: Float[np.ndarray, "n 3"], camera: Camera) -> Float[np.ndar
 
 def usable_faces(
     mesh: trimesh.Trimesh,
-) -> tuple[Float[np.ndarray, "f 3 3"], Int[np.ndarray, "f"]]:
+) -> tuple[Float[np.ndarray, "f 3 3"], Int[np.ndarray, " f"]]:
     """The corners of all faces that have an area, and which faces these are.
 
     Raises:
@@ -141,7 +141,7 @@ def _move_corners(
 
 def _plane_depth(
     corners: Float[np.ndarray, "k 3 3"], rays: Float[np.ndarray, "k 3"]
-) -> Float[np.ndarray, "k"]:
+) -> Float[np.ndarray, " k"]:
     """Where each ray d meets the plane of its triangle: a·n / d·n, within the triangle's depths.
 
     The limits only matter for a triangle seen edge-on, whose plane the ray meets anywhere.
@@ -207,7 +207,7 @@ def _pixel_boxes(
 
 def _pairs(
     low: Int[np.ndarray, "f 2"], high: Int[np.ndarray, "f 2"], width: int
-) -> Iterator[tuple[Int[np.ndarray, "k"], Int[np.ndarray, "k"]]]:
+) -> Iterator[tuple[Int[np.ndarray, " k"], Int[np.ndarray, " k"]]]:
     """All pairs (triangle, pixel of its box), in portions of a limited size or of one box."""
     span = np.maximum(high - low + 1, 0)
     area = span.prod(axis=1)

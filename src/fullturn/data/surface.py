@@ -16,7 +16,7 @@ def sample_surface(
 
 def sample_faces(
     mesh: trimesh.Trimesh, count: int, rng: np.random.Generator
-) -> tuple[Float[np.ndarray, "count 3"], Int[np.ndarray, "count"]]:
+) -> tuple[Float[np.ndarray, "count 3"], Int[np.ndarray, " count"]]:
     """`count` points, uniform over the area of a triangle mesh, and the face of each, ascending."""
     corner = np.asarray(mesh.vertices, dtype=np.float64)[np.asarray(mesh.faces)]
     edge_b, edge_c = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]

@@ -33,7 +33,7 @@ class RangeView:
     points_object: Float[np.ndarray, "n 3"]  # in the object's frame
     points_camera: Float[np.ndarray, "n 3"]  # the same points in the camera's frame
     camera: Camera
-    on_plane: Bool[np.ndarray, "n"]  # True: of the support plane, not of the object
+    on_plane: Bool[np.ndarray, " n"]  # True: of the support plane, not of the object
     image: DepthImage  # as sensed; all pixels, whatever number of points was asked for
 
 
@@ -121,7 +121,7 @@ def _thinned(
     points: int | None,
     thinning: Literal["random", "farthest"],
     rng: np.random.Generator,
-) -> Int[np.ndarray, "k"]:
+) -> Int[np.ndarray, " k"]:
     """Which points stay, at most `points` of them, in their order."""
     if points is None or len(cloud) <= points:
         return np.arange(len(cloud))

@@ -44,9 +44,9 @@ class SetResult:
 class PairRows:
     """One method's answers to the pairs of a set."""
 
-    rotation_error_deg: Float[np.ndarray, "related"]  # related pairs only; a failure is infinite
-    success: Bool[np.ndarray, "n"]
-    probability: Float[np.ndarray, "n"] | None  # None: the method states none
+    rotation_error_deg: Float[np.ndarray, " related"]  # related pairs only; a failure is infinite
+    success: Bool[np.ndarray, " n"]
+    probability: Float[np.ndarray, " n"] | None  # None: the method states none
 
 
 def read_runs(folders: Sequence[Path]) -> list[SetResult]:

@@ -42,7 +42,7 @@ def point_distances(
     found: Float[np.ndarray, "4 4"],
     true: Float[np.ndarray, "4 4"],
     source: Float[np.ndarray, "n 3"],
-) -> Float[np.ndarray, "n"]:
+) -> Float[np.ndarray, " n"]:
     """|T·x − T_true·x| of every source point."""
     difference = found - true
     return np.linalg.norm(source @ difference[:3, :3].T + difference[:3, 3], axis=1)
@@ -170,7 +170,7 @@ def geometric_success(
     return fit_distance(found, source, target) <= 1.05 * fit_of_true + slack
 
 
-def recall(errors: Float[np.ndarray, "n"], threshold: float) -> float:
+def recall(errors: Float[np.ndarray, " n"], threshold: float) -> float:
     """The share of pairs with an error below the threshold; NaN counts as failed.
 
     >>> recall(np.array([0.5, 3.0, np.nan, 170.0]), 5.0)
@@ -180,8 +180,8 @@ def recall(errors: Float[np.ndarray, "n"], threshold: float) -> float:
 
 
 def reliability(
-    probability: Float[np.ndarray, "n"], success: Bool[np.ndarray, "n"]
-) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k"], Float[np.ndarray, "k"]]:
+    probability: Float[np.ndarray, " n"], success: Bool[np.ndarray, " n"]
+) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
     """(mean probability, share right, pairs) of each tenth of [0, 1] that holds a pair.
 
     >>> said, right, pairs = reliability(np.array([0.9, 0.92, 0.1]), np.array([True, False, False]))
@@ -198,7 +198,7 @@ def reliability(
 
 
 def expected_calibration_error(
-    probability: Float[np.ndarray, "n"], success: Bool[np.ndarray, "n"]
+    probability: Float[np.ndarray, " n"], success: Bool[np.ndarray, " n"]
 ) -> float:
     """Σ (n_b/n)·|share of successes − mean probability|, over the bins of `reliability`.
 
@@ -209,15 +209,15 @@ def expected_calibration_error(
     return float((pairs * np.abs(right - said)).sum() / pairs.sum())
 
 
-def brier(probability: Float[np.ndarray, "n"], success: Bool[np.ndarray, "n"]) -> float:
+def brier(probability: Float[np.ndarray, " n"], success: Bool[np.ndarray, " n"]) -> float:
     """The mean of (probability − success)²; 0 is perfect, always saying ½ gives ¼."""
     probability, success = _checked(probability, success)
     return float(np.square(probability - success).mean())
 
 
 def risk_coverage(
-    probability: Float[np.ndarray, "n"], success: Bool[np.ndarray, "n"]
-) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+    probability: Float[np.ndarray, " n"], success: Bool[np.ndarray, " n"]
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
     """(coverage, risk): the share of failures among the k most probable answers, k = 1…n."""
     probability, success = _checked(probability, success)
     order = np.argsort(-probability, kind="stable")
@@ -226,7 +226,7 @@ def risk_coverage(
 
 
 def bootstrap_interval(
-    values: Float[np.ndarray, "n"] | Bool[np.ndarray, "n"],
+    values: Float[np.ndarray, " n"] | Bool[np.ndarray, " n"],
     rng: np.random.Generator,
 ) -> tuple[float, float]:
     """The percentile bootstrap interval of a mean over pairs: 95 % of 2,000 draws."""

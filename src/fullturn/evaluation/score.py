@@ -105,7 +105,7 @@ def _accuracy(rows: Sequence[Score], *, rng: np.random.Generator) -> dict[str, A
     failed = np.array([row.error is not None for row in rows])
     summary: dict[str, Any] = {}
 
-    def mean(name: str, values: Float[np.ndarray, "n"]) -> None:
+    def mean(name: str, values: Float[np.ndarray, " n"]) -> None:
         summary[name] = float(values.mean())
         summary[f"{name}_interval"] = metrics.bootstrap_interval(values, rng)
 
@@ -131,7 +131,7 @@ def _accuracy(rows: Sequence[Score], *, rng: np.random.Generator) -> dict[str, A
 def _honesty(rows: Sequence[Score]) -> dict[str, Any]:
     """How well the probabilities fit. A failed pair says nothing: it counts as probability 0."""
     probability = np.array([row.success_probability or 0.0 for row in rows])
-    success: Bool[np.ndarray, "n"] = np.array([row.success for row in rows])
+    success: Bool[np.ndarray, " n"] = np.array([row.success for row in rows])
     coverage, risk = metrics.risk_coverage(probability, success)
     summary: dict[str, Any] = {
         "mean_probability": float(probability.mean()),
@@ -152,5 +152,5 @@ def _honesty(rows: Sequence[Score]) -> dict[str, Any]:
     return summary
 
 
-def _column(rows: Sequence[Score], key: str) -> Float[np.ndarray, "n"]:
+def _column(rows: Sequence[Score], key: str) -> Float[np.ndarray, " n"]:
     return np.array([getattr(row, key) for row in rows], dtype=np.float64)

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 from fullturn.evaluation import notes, paper
 from fullturn.evaluation.folders import MethodResult, SetResult
-from fullturn.evaluation.layout import NONE, Table, number
+from fullturn.evaluation.layout import NONE, Table, number, plain_header
 
 # Column → key of the summary, and its form: decimals, "%" for a share, "°" for an angle.
 _COLUMNS: dict[str, tuple[str, int | str]] = {

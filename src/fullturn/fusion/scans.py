@@ -20,6 +20,7 @@ from fullturn.geometry.extent import center_and_radius
 from fullturn.io import LoadedCloud, load_cloud
 from fullturn.io.check import as_viewpoint
 
+_SAME = 0.01  # of the spacing, within which single precision keeps points
 _SAMPLE_POINTS = 4_000  # per scan, for the joint refinement
 _UNLIKE_SIZE, _UNLIKE_SPACING = 10.0, 10.0
 
@@ -45,7 +46,7 @@ class Scan(Body):
 
     number: int  # its place in the list that was given
     name: str
-    points_key: str  # hash of its points alone
+    twin_key: str  # hash of its points in single precision, whatever their order
     count: int
     radius: float  # in the input's unit, as is the spacing
     spacing: float
@@ -84,7 +85,7 @@ def check_scans(
             notes.append(f"left out scan {number + 1}: {error}")
             continue
         notes += scan.notes
-        twin = first.setdefault(scan.points_key, scan)
+        twin = first.setdefault(scan.twin_key, scan)
         if twin is not scan:
             notes.append(f"left out {scan.name}: it holds the same points as {twin.name}")
             continue
@@ -139,6 +140,13 @@ def check_viewpoints(viewpoints: Sequence[Any] | None, count: int) -> list[np.nd
     ]
 
 
+def _twin_key(points: np.ndarray, spacing: float) -> str:
+    rounded = points.astype(np.float32)
+    if np.abs(rounded - points).max() > _SAME * spacing:  # far from the origin
+        rounded = points
+    return hashlib.sha256(rounded[np.lexsort(rounded.T)].tobytes()).hexdigest()
+
+
 def _scan(number: int, cloud: Any, eye: np.ndarray | None, name: str) -> Scan:
     is_file = isinstance(cloud, (str, os.PathLike))
     role = None if is_file or isinstance(cloud, LoadedCloud) else name
@@ -155,7 +163,7 @@ def _scan(number: int, cloud: Any, eye: np.ndarray | None, name: str) -> Scan:
         viewpoint=eye,
         number=number,
         name=name,
-        points_key=points_key,
+        twin_key=_twin_key(points, seen.spacing),
         count=len(points),
         radius=radius,
         spacing=seen.spacing,

@@ -5,15 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
+import numpy as np
+import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from fullturn.geometry.neighbors import NeighborIndex
+from fullturn.geometry.neighbors import NeighborIndex, knn
 from fullturn.geometry.normals import estimate_normals
 from fullturn.geometry.sampling import point_spacing
 
 _SAMPLE_LIMIT = 10_000
-_NEIGHBORS = 20
+_NEIGHBORS, _MOST_COPIES = 20, 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,8 +46,19 @@ class Cloud:
 
     @cached_property
     def around(self) -> tuple[Int[Tensor, "s k"], Float[Tensor, "s k"]]:
-        """Index and distance of the sample's 20 nearest points, themselves among them."""
-        return self.index.knn(self.sample, min(_NEIGHBORS, len(self.points)))
+        """Index and distance of the sample's 20 nearest points, themselves among them.
+
+        Where most of them are copies of one point, which show no surface, of points apart.
+        """
+        found = self.index.knn(self.sample, min(_NEIGHBORS, len(self.points)))
+        if not bool((found[1] == 0).sum(1).median() > _MOST_COPIES):
+            return found
+        _, first = np.unique(self.points.numpy(force=True), axis=0, return_index=True)
+        if len(first) < _NEIGHBORS:
+            return found
+        row = torch.from_numpy(first).to(self.points.device)
+        index, distance = knn(self.sample, self.points[row], _NEIGHBORS)
+        return row[index], distance
 
     @cached_property
     def sample_normals(self) -> Float[Tensor, "s 3"]:

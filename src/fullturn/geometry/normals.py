@@ -185,7 +185,7 @@ def _null_vector(B: Tensor, eigenvalue: Tensor) -> Tensor:
     return torch.where(best_sq > 0, vector / length, _eye(B)[0])
 
 
-def perpendicular(u: Float[Tensor, "3 *batch"]) -> Float[Tensor, "3 *batch"]:
+def perpendicular(u: Float[Tensor, " 3 *batch"]) -> Float[Tensor, " 3 *batch"]:
     """Unit vector perpendicular to a unit vector, components first; zero to a zero vector."""
     x, y, z = u
     # Drop the smaller of x and y, so that the length is at least √(1/2).

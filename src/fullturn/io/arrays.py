@@ -78,7 +78,7 @@ def _parse(data: bytes, name: str) -> np.ndarray:
     for side in shape:
         count *= int(side)
     body = data[stream.tell() :]
-    if count < 0 or len(body) < count * dtype.itemsize:
+    if min(shape, default=0) < 0 or len(body) < count * dtype.itemsize:
         raise ReadError(
             f"{name}: expected {count * dtype.itemsize} bytes of data, {len(body)} came; "
             "the file is truncated or damaged"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import logging
+import re
 import warnings
 from typing import Any
 
@@ -124,6 +125,9 @@ def _off_cloud(data: bytes, name: str) -> np.ndarray | None:
     """The vertices of an OFF file that announces no faces; of another one, only the check."""
     # trimesh ignores missing faces; counting numbers finds them however the lines are broken.
     words = b" ".join(line.split(b"#", 1)[0] for line in data.splitlines()).split()
+    glued = re.fullmatch(rb"([A-Za-z0-9]*OFF)(\d+)", words[0]) if words else None
+    if glued:  # as in some files of ModelNet: "OFF642 1280 0"
+        words[:1] = glued.groups()
     try:
         vertices, faces = int(words[1]), int(words[2])
     except (IndexError, ValueError) as error:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -93,14 +94,14 @@ def _read_header(data: bytes, name: str) -> tuple[str, list[_Element], int]:
             f"{name}: expected a PLY file (first line 'ply'), it begins with "
             f"{one_line(data[:12])}; check the file or its suffix"
         )
-    mark = data.find(b"end_header")
-    end = data.find(b"\n", mark)
-    if mark < 0 or end < 0:
+    # At the start of a line: comments may hold the word, too.
+    last = re.search(rb"(?m)^end_header[ \t]*\r?\n", data)
+    if last is None:
         raise ReadError(f"{name}: the PLY header has no 'end_header'; the file is truncated")
     order: str | None = None
     elements: list[_Element] = []
     try:
-        for line in data[:mark].decode("latin-1").splitlines()[1:]:
+        for line in data[: last.start()].decode("latin-1").splitlines()[1:]:
             words = line.split()
             if not words or words[0] in ("comment", "obj_info"):
                 continue
@@ -126,7 +127,7 @@ def _read_header(data: bytes, name: str) -> tuple[str, list[_Element], int]:
         raise ReadError(f"{name}: the PLY header lacks a format or a valid count; it is damaged")
     if repeated or len(set(names)) < len(names):
         raise ReadError(f"{name}: the PLY header names an element or a property twice")
-    return order, elements, end + 1
+    return order, elements, last.end()
 
 
 def _read_binary(
@@ -143,7 +144,7 @@ def _read_binary(
             layout.append((prop.name, order + prop.dtype))
             offset += int(prop.dtype[1])
             continue
-        length = int(_one(data, offset, order + prop.count_dtype, name))
+        length = _length(data, offset, order + prop.count_dtype, name)
         if length < 0 or length > len(data):
             raise _truncated(name, element)
         lengths[prop.name] = length
@@ -171,7 +172,7 @@ def _read_ragged(
         for prop in element.properties:
             length = 1
             if prop.count_dtype is not None:
-                length = int(_one(data, at, order + prop.count_dtype, name))
+                length = _length(data, at, order + prop.count_dtype, name)
                 at += int(prop.count_dtype[1])
             step = length * int(prop.dtype[1])
             if length < 0 or at + step > len(data):
@@ -248,11 +249,12 @@ def _fan(polygons: np.ndarray) -> np.ndarray:
     return np.concatenate(triangles) if triangles else np.zeros((0, 3), dtype=np.int64)
 
 
-def _one(data: bytes, at: int, dtype: str, name: str) -> np.generic:
+def _length(data: bytes, at: int, dtype: str, name: str) -> int:
+    """Of a list; −1 where a fraction's type holds no number."""
     if at + np.dtype(dtype).itemsize > len(data):
         raise ReadError(f"{name}: the PLY data end inside a list; the file is truncated")
-    value: np.generic = np.frombuffer(data, dtype, 1, at)[0]
-    return value
+    value = np.frombuffer(data, dtype, 1, at)[0]
+    return int(value) if np.isfinite(value) else -1
 
 
 def _truncated(name: str, element: _Element) -> ReadError:

@@ -45,6 +45,7 @@ def read_text(data: bytes, name: str) -> Raw:
     if first is None:
         return Raw(np.zeros((0, 3)))
     header, announced = None, None
+    notes: tuple[str, ...] = ()
     words = _split(_content(lines[first]), _separator(lines[first]))
     word = next(filter(None, words), "")
     if len(words) == 1 and word.isdecimal():
@@ -52,6 +53,9 @@ def read_text(data: bytes, name: str) -> Raw:
         first += 1
     elif not _is_number(word.replace(",", ".")):
         header = lines[first]
+        first += 1
+    elif _counts_columns(words, lines, first):
+        notes = (f"{name}: its first line numbers the columns and is left out",)
         first += 1
     start = _next(lines, first)
     if start is None:
@@ -70,7 +74,7 @@ def read_text(data: bytes, name: str) -> Raw:
             f"{name}: its first line announces {announced} points, {len(points)} came; "
             "the file is truncated"
         )
-    return Raw(points)
+    return Raw(points, notes=notes)
 
 
 def three_numbers(text: str) -> tuple[float, float, float] | None:
@@ -84,6 +88,16 @@ def three_numbers(text: str) -> tuple[float, float, float] | None:
     except ValueError:
         return None
     return (x, y, z) if all(map(math.isfinite, (x, y, z))) else None
+
+
+def _counts_columns(words: list[str], lines: list[str], first: int) -> bool:
+    """Whether the words are 0, 1, 2 and so on, as pandas names columns, above decimal numbers."""
+    following = _next(lines, first + 1)
+    return (
+        words == [str(k) for k in range(max(3, len(words)))]
+        and following is not None
+        and "." in _content(lines[following])
+    )
 
 
 def _next(lines: list[str], first: int) -> int | None:

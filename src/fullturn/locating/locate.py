@@ -14,7 +14,7 @@ from torch import Tensor
 
 from fullturn.errors import InputError, is_number, whole_number
 from fullturn.geometry import rigid
-from fullturn.geometry.extent import center_and_radius
+from fullturn.geometry.extent import center_and_radius, far_from_the_rest
 from fullturn.io import LoadedCloud, load_cloud
 from fullturn.io.check import as_viewpoint
 from fullturn.locating.candidates import Candidates, candidates, grid_of
@@ -38,6 +38,7 @@ _MOST_ALTERNATIVES = 9
 _KNOWN_POINTS, _UNKNOWN = 40, 0.2
 # Spacings around a located model within which points are no other instance's: wider than what
 # counts as lying on it (`verify.ON_MODEL`), so that no rim of it is left to be searched again.
+_IN_ONE_PLACE = 0.05  # of the diameter: so near, half of a surface lies on another one
 _TAKEN = 2.5
 
 
@@ -86,6 +87,8 @@ def locate(
     for place in search.places():
         if found and place.judged.surface[0] < min_probability:
             break
+        if not search.is_new(place):
+            continue
         found.append(_location(place, frame))
         if len(found) == most:
             break
@@ -122,6 +125,7 @@ class _Search:
     model: PreparedModel
     config: LocateConfig
     _known: dict[bytes, _Place] = field(default_factory=dict)
+    _poses: list[Tensor] = field(default_factory=list)
 
     def places(self) -> Iterator[_Place]:
         """The most probable place; then that among the points that it leaves free.
@@ -158,6 +162,21 @@ class _Search:
                 judged = judged.at_most(_UNKNOWN)
             self._known[key] = _Place(found, judged)
         return self._known[key]
+
+    def is_new(self, place: _Place) -> bool:
+        """Whether no model lies where this one does: two can't be in one place.
+
+        Noise wider than the spacing leaves points of a model that was found already.
+        """
+        T = place.found.T_scene_model[place.judged.index[0]].double()
+        surface, grid = self.model.surface.double(), grid_of(self.model)
+        within = _IN_ONE_PLACE * self.model.diameter / self.model.radius
+        for earlier in self._poses:
+            at = rigid.apply(rigid.invert(earlier) @ T, surface).float()
+            if float((grid.difference(at.T).norm(dim=0) < within).double().mean()) > 0.5:
+                return False
+        self._poses.append(T)
+        return True
 
     def _taken(self, place: _Place, grid: NearestGrid) -> Tensor:
         T = place.found.T_scene_model[place.judged.index[0]]
@@ -200,7 +219,11 @@ def _role(scene: Any) -> str | None:
 
 
 def _size_notes(points: Tensor, model: PreparedModel) -> tuple[str, ...]:
-    size = float((points.amax(0) - points.amin(0)).norm())
+    stray = far_from_the_rest(
+        points.numpy(force=True), *center_and_radius(points.numpy(force=True))
+    )
+    some = points[torch.from_numpy(~stray).to(points.device)]
+    size = float((some.amax(0) - some.amin(0)).norm())
     ratio = size / (model.diameter / model.radius)
     if 1.0 / _UNLIKE < ratio < _UNLIKE:
         return ()

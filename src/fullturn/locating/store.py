@@ -18,10 +18,11 @@ from fullturn.errors import ReadError, one_line
 from fullturn.io.atomic import check_output, write_atomic
 from fullturn.locating.model import DescribedViews, ModelConfig, PreparedModel
 from fullturn.locating.source import load_model
+from fullturn.nn.packaged import packaged_weights
 
 SUFFIX = ".safetensors"
 _KIND = "fullturn prepared model"
-_VERSION = "1"
+_VERSION = "2"
 _TENSORS = ("center", "surface", "normals", "area", "directions", "seen")
 _NUMBERS = ("radius", "diameter", "fine_voxel", "spacing")
 _VIEW_TENSORS = ("points", "normals", "descriptors", "counts")
@@ -49,6 +50,7 @@ def save_model(path: str | os.PathLike[str], model: PreparedModel) -> None:
         "about": json.dumps(about),
     }
     arrays = {key: np.ascontiguousarray(value.numpy(force=True)) for key, value in tensors.items()}
+    metadata["content"] = _content_hash(arrays, metadata["about"])
     write_atomic(path, save(arrays, metadata))
 
 
@@ -81,7 +83,10 @@ def _load(path: str | os.PathLike[str]) -> PreparedModel:
         with safe_open(os.fspath(path), framework="numpy") as stored:
             metadata = stored.metadata() or {}
             _check(metadata, name)
-            tensors = {key: from_numpy(stored.get_tensor(key)) for key in stored.keys()}  # noqa: SIM118
+            arrays = {key: stored.get_tensor(key) for key in stored.keys()}  # noqa: SIM118
+        if metadata["content"] != _content_hash(arrays, metadata["about"]):
+            raise ValueError("its numbers aren't those that were written")
+        tensors = {key: from_numpy(array) for key, array in arrays.items()}
         about = json.loads(metadata["about"])
         parts: dict[str, Any] = {key: tensors[key] for key in _TENSORS}
         parts |= {key: float(about[key]) for key in _NUMBERS}
@@ -127,6 +132,14 @@ def _level(tensors: dict[str, Any], number: int, lengths: dict[str, float]) -> D
 
 def _config(stored: dict[str, Any]) -> ModelConfig:
     return ModelConfig(**{**stored, "level_points": tuple(stored["level_points"])})
+
+
+def _content_hash(arrays: dict[str, np.ndarray], about: str) -> str:
+    digest = hashlib.sha256(about.encode())
+    for key in sorted(arrays):
+        digest.update(f"{key} {arrays[key].dtype.str} {arrays[key].shape}".encode())
+        digest.update(arrays[key].tobytes())
+    return digest.hexdigest()
 
 
 def _descriptor_hash() -> str:

@@ -18,7 +18,7 @@ from fullturn.geometry.sampling import point_spacing, voxel_sample
 from fullturn.pose.depth import nearest_depth, pixel_of, project, sideways
 
 DISTANCE = 3.0  # of the eyes from the middle, in radii
-_FIRST_PIXELS = 64  # a side, of the look that says how many pixels it takes
+_FIRST_PIXELS = (64, 256)  # a side, of looks that say how many it takes; rods fall between few
 _WANTED = 6000  # returns of a view
 _FEWEST = 30  # a view with fewer shows next to nothing
 _CLOUD_POINTS = 40_000  # of a model without faces: more say nothing about what hides what
@@ -42,17 +42,14 @@ def views_of_mesh(mesh: trimesh.Trimesh, *, count: int) -> list[View]:
     rng = np.random.default_rng(0)
     found = []
     for direction in sphere_directions(count):
-        camera = ball_camera(
-            np.zeros(3),
-            1.0,
-            direction,
-            distance=DISTANCE,
-            width=_FIRST_PIXELS,
-            height=_FIRST_PIXELS,
-        )
-        seen = scanner.look(camera, wanted=_WANTED, enough=_FEWEST, rng=rng)
-        if seen is not None:
-            found.append(View(direction, seen.points))
+        for pixels in _FIRST_PIXELS:
+            camera = ball_camera(
+                np.zeros(3), 1.0, direction, distance=DISTANCE, width=pixels, height=pixels
+            )
+            seen = scanner.look(camera, wanted=_WANTED, enough=_FEWEST, rng=rng)
+            if seen is not None:
+                found.append(View(direction, seen.points))
+                break
     return found
 
 

@@ -90,10 +90,10 @@ class EvidenceNet(nn.Module):
 
 
 def _among_rivals(
-    value: Float[Tensor, "k *rest"],
+    value: Float[Tensor, " k *rest"],
     pair: Int[Tensor, " k"] | None,
     extreme: Literal["amin", "amax"],
-) -> Float[Tensor, "_ *rest"]:
+) -> Float[Tensor, " _ *rest"]:
     """The least or the largest of each value among the poses of one pair; a row, or one for all."""
     if pair is None:
         return torch.amin(value, 0, True) if extreme == "amin" else torch.amax(value, 0, True)

@@ -74,7 +74,7 @@ class NearestGrid:
         normals = torch.cat([normals, torch.zeros_like(blank)])
         self._planes = torch.cat([points, normals], 1).T.contiguous()
 
-    def index(self, queries: Float[Tensor, "3 *batch"]) -> Int[Tensor, "*batch"]:
+    def index(self, queries: Float[Tensor, " 3 *batch"]) -> Int[Tensor, "*batch"]:
         """Index of a nearby point for each query, n beyond the band."""
         one = (3,) + (1,) * (queries.dim() - 1)
         cells = (queries - self._low.view(one)).mul_(1 / self.cell)
@@ -82,7 +82,7 @@ class NearestGrid:
         flat = self._strides @ cells.view(3, -1)
         return self._table.index_select(0, flat.long()).long().view(queries.shape[1:])
 
-    def difference(self, queries: Float[Tensor, "3 *batch"]) -> Float[Tensor, "3 *batch"]:
+    def difference(self, queries: Float[Tensor, " 3 *batch"]) -> Float[Tensor, " 3 *batch"]:
         """Query − point; far away beyond the band.
 
         Coordinates come first, here and in what is computed from it: whole planes of x, y and z are
@@ -91,8 +91,8 @@ class NearestGrid:
         return queries - self._gathered(self._planes[:3], queries)
 
     def nearest(
-        self, queries: Float[Tensor, "3 *batch"]
-    ) -> tuple[Float[Tensor, "3 *batch"], Float[Tensor, "3 *batch"]]:
+        self, queries: Float[Tensor, " 3 *batch"]
+    ) -> tuple[Float[Tensor, " 3 *batch"], Float[Tensor, " 3 *batch"]]:
         """`difference`, and the point's normal; zero beyond the band."""
         found = self._gathered(self._planes, queries)
         return queries - found[:3], found[3:]

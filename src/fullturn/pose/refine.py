@@ -95,7 +95,7 @@ def lay_on_points(
     return T
 
 
-def tukey(difference: Float[Tensor, "3 *batch"], scale: float) -> Float[Tensor, "*batch"]:
+def tukey(difference: Float[Tensor, " 3 *batch"], scale: float) -> Float[Tensor, "*batch"]:
     """(1 − d²/scale²)² within the scale, 0 beyond."""
     return squared_falloff(difference.square().sum(0), scale).square_()
 

@@ -7,6 +7,7 @@ import math
 from dataclasses import dataclass, fields
 from functools import cache
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
@@ -15,6 +16,7 @@ from fullturn.errors import FullturnError
 from fullturn.geometry import rigid
 from fullturn.geometry.cloud import Cloud
 from fullturn.geometry.extent import center_and_radius
+from fullturn.nn.packaged import packaged_weights
 from fullturn.pose.verify import FEATURES, FINE
 
 # What "the same pose" and "right" mean: within 5° and 5 % of the larger cloud's radius, at the
@@ -71,7 +73,7 @@ def limited(
     small, large = sorted(
         center_and_radius(cloud.points.numpy(force=True))[1] for cloud in (source, target)
     )
-    if min(len(source.points), len(target.points)) < _LEAST_POINTS:
+    if min(_distinct(source), _distinct(target)) < _LEAST_POINTS:
         why = f"fewer than {_LEAST_POINTS} points"
     elif small < _LEAST_SIZE * large:
         why = f"one cloud is {large / small:.3g} times as large as the other"
@@ -79,6 +81,11 @@ def limited(
         return probability, ()
     note = f"{why}: how probable a pose is isn't known, and {_UNKNOWN} at most"
     return probability * (_UNKNOWN / max(float(probability.sum()), _UNKNOWN)), (note,)
+
+
+def _distinct(cloud: Cloud) -> int:
+    """How many different points there are."""
+    return len(np.unique(cloud.points.numpy(force=True), axis=0))
 
 
 def verdict_inputs(
@@ -161,7 +168,7 @@ def log_rotation_prior(
     L = max_rotation_rad
     angle = rigid.rotation_angle_rad(T_target_source[:, :3, :3]).clamp_min(_SMALL_TURN * L)
     # Both to their digits for small angles: 1 − cos θ = 2 sin²(θ/2), L − sin L ≈ L³/6.
-    wrong = math.log(L - math.sin(L)) if L > _SERIES_BELOW_RAD else math.log(L**3 / 6)
+    wrong = math.log(L - math.sin(L)) if L > _SERIES_BELOW_RAD else 3 * math.log(L) - math.log(6)
     return wrong - math.log(2 * L) - 2 * (angle / 2).sin().log()
 
 
@@ -170,7 +177,7 @@ def finalist_probabilities(
     features: Float[Tensor, "k f"],
     *,
     max_rotation_rad: float | None = None,
-) -> Float[Tensor, "k+1"]:
+) -> Float[Tensor, " k+1"]:
     """Of each finalist to be the right one and, last, of none; they sum to 1.
 
     `max_rotation_rad`: the largest rotation that is possible, where somebody knows one.

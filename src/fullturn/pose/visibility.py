@@ -19,10 +19,10 @@ _HIDDEN = 3.0  # spacings behind a point's pixel that count
 class Look:
     """Where points lie in what was seen from each of v places."""
 
-    behind: Float[Tensor, "v *points"]  # depth beyond the surface seen; 0 where none was
-    in_front: Bool[Tensor, "v *points"]  # of the surface seen
-    in_nothing: Bool[Tensor, "v *points"]  # in front of nothing seen
-    outside: Bool[Tensor, "v *points"]  # of the image
+    behind: Float[Tensor, " v *points"]  # depth beyond the surface seen; 0 where none was
+    in_front: Bool[Tensor, " v *points"]  # of the surface seen
+    in_nothing: Bool[Tensor, " v *points"]  # in front of nothing seen
+    outside: Bool[Tensor, " v *points"]  # of the image
 
 
 class DepthImages:

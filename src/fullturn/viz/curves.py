@@ -28,7 +28,7 @@ PANEL_INCHES = (4.6, 2.9)
 
 
 def draw_error_curves(
-    sets: Mapping[str, Mapping[str, Float[np.ndarray, "n"]]],
+    sets: Mapping[str, Mapping[str, Float[np.ndarray, " n"]]],
     *,
     published: Mapping[str, tuple[str, float]] | None = None,
 ) -> Figure:
@@ -74,9 +74,10 @@ def draw_error_curves(
 
 
 def draw_risk_coverage(
-    sets: Mapping[str, Mapping[str, tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]]],
+    sets: Mapping[str, Mapping[str, tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]]],
     reliability: Mapping[
-        str, tuple[Float[np.ndarray, "bins"], Float[np.ndarray, "bins"], Float[np.ndarray, "bins"]]
+        str,
+        tuple[Float[np.ndarray, " bins"], Float[np.ndarray, " bins"], Float[np.ndarray, " bins"]],
     ],
 ) -> Figure:
     """Per set, the share of wrong answers among the most probable ones; last, the reliability.

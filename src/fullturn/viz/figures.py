@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fullturn.geometry.motion import move
+from fullturn.geometry.motion import move, rotation_angle_deg
 from fullturn.io.atomic import check_output, write_atomic
 from fullturn.viz.canvas import new_figure
 from fullturn.viz.scene import make_scene, viewing_axes
