@@ -6,9 +6,11 @@ import os
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -127,18 +129,21 @@ class _Search:
     _known: dict[bytes, _Place] = field(default_factory=dict)
     _poses: list[Tensor] = field(default_factory=list)
 
+    @cached_property
+    def _grid(self) -> NearestGrid:
+        return grid_of(self.model)
+
     def places(self) -> Iterator[_Place]:
         """The most probable place; then that among the points that it leaves free.
 
         Parts are looked at from the largest on; where the model surely is in one, no others are.
         """
-        grid = grid_of(self.model)
         free = torch.ones(len(self.scene.points), dtype=torch.bool, device=self.scene.points.device)
         while True:
             parts = free_parts(self.scene, free, self.model, limit=self.config.parts)
             best: _Place | None = None
             for members in parts:
-                place = self._place(members, grid)
+                place = self._place(members)
                 if best is None or place.judged.surface[0] > best.judged.surface[0]:
                     best = place
                 if best.judged.surface[0] >= self.config.sure:
@@ -146,17 +151,17 @@ class _Search:
             if best is None:
                 return
             yield best
-            taken = self._taken(best, grid)
+            taken = self._taken(best)
             if not bool((free & taken).any()):
                 return
             free &= ~taken
 
-    def _place(self, members: Tensor, grid: NearestGrid) -> _Place:
+    def _place(self, members: Tensor) -> _Place:
         key = members.numpy(force=True).tobytes()
         if key not in self._known:
-            found = candidates(self.scene, members, self.model, grid, self.config)
+            found = candidates(self.scene, members, self.model, self._grid, self.config)
             T = found.T_scene_model.float()
-            judged = judge(T, found.features, found.explained, self.model, grid)
+            judged = judge(T, found.features, found.explained, self.model, self._grid)
             # On a large plane, any flat face of the model fits anywhere.
             if int((members & self.scene.off_planes).sum()) < _KNOWN_POINTS:
                 judged = judged.at_most(_UNKNOWN)
@@ -169,19 +174,19 @@ class _Search:
         Noise wider than the spacing leaves points of a model that was found already.
         """
         T = place.found.T_scene_model[place.judged.index[0]].double()
-        surface, grid = self.model.surface.double(), grid_of(self.model)
+        surface = self.model.surface.double()
         within = _IN_ONE_PLACE * self.model.diameter / self.model.radius
         for earlier in self._poses:
             at = rigid.apply(rigid.invert(earlier) @ T, surface).float()
-            if float((grid.difference(at.T).norm(dim=0) < within).double().mean()) > 0.5:
+            if float((self._grid.difference(at.T).norm(dim=0) < within).double().mean()) > 0.5:
                 return False
         self._poses.append(T)
         return True
 
-    def _taken(self, place: _Place, grid: NearestGrid) -> Tensor:
+    def _taken(self, place: _Place) -> Tensor:
         T = place.found.T_scene_model[place.judged.index[0]]
         there = rigid.apply(rigid.invert(T), self.scene.points).float()
-        difference = grid.difference(there.T)
+        difference = self._grid.difference(there.T)
         return difference.norm(dim=0) < _TAKEN * self.scene.spacing
 
 
@@ -219,11 +224,9 @@ def _role(scene: Any) -> str | None:
 
 
 def _size_notes(points: Tensor, model: PreparedModel) -> tuple[str, ...]:
-    stray = far_from_the_rest(
-        points.numpy(force=True), *center_and_radius(points.numpy(force=True))
-    )
-    some = points[torch.from_numpy(~stray).to(points.device)]
-    size = float((some.amax(0) - some.amin(0)).norm())
+    values = points.numpy(force=True)
+    together = values[~far_from_the_rest(values, *center_and_radius(values))]
+    size = float(np.linalg.norm(np.ptp(together, axis=0)))
     ratio = size / (model.diameter / model.radius)
     if 1.0 / _UNLIKE < ratio < _UNLIKE:
         return ()
