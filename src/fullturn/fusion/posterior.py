@@ -3,8 +3,8 @@
 Every edge between two scans, or two groups of scans, is a measurement of their relative pose: a few
 poses with probabilities p, and a doubt d that none is right. Against a relative pose T it speaks
 with f(T) = Σ p/ε over its poses that agree with T, plus d, where ε is the chance that a wrong pose
-agrees; against "none of these" with f = d. T's own prior is ε. Edges that agree raise each other's
-probabilities; one edge alone keeps its own.
+agrees; against "none of these" with f = d. With T's own prior ε, one edge alone gives back its
+probabilities, those of poses that agree together, and edges that agree raise each other's.
 """
 
 from __future__ import annotations
@@ -49,8 +49,6 @@ def posterior(
     Poses agree within the tolerances, the shift taken at the point `at` (3,); each one that is
     returned is the mean of those that agree with it.
     """
-    if len(measurements) == 1:
-        return _alone(measurements[0], at, config)
     T = np.concatenate([m.T for m in measurements])
     p = np.concatenate([m.probability for m in measurements])
     starts = np.cumsum([0, *(len(m.T) for m in measurements[:-1])])
@@ -70,19 +68,6 @@ def posterior(
     share /= share.sum()
     means = np.stack([_mean(T, agreeing[number], at) for number in kept])
     return means, share[:-1], float(share[-1])
-
-
-def _alone(
-    measured: Measurement, at: np.ndarray, config: AgreementConfig
-) -> tuple[np.ndarray, np.ndarray, float]:
-    """The distinct poses of one measurement, each with its own probability."""
-    same = agree(measured.T, measured.T, at, config)
-    kept: list[int] = []
-    for number in np.argsort(-measured.probability, kind="stable")[:_MOST_HYPOTHESES]:
-        if measured.probability[number] > 0 and not same[number, kept].any():
-            kept.append(int(number))
-    share = measured.probability[kept]
-    return measured.T[kept], share, max(0.0, 1.0 - float(share.sum()))
 
 
 def _mean(T: np.ndarray, weight: np.ndarray, at: np.ndarray) -> np.ndarray:
