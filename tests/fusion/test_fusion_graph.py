@@ -26,14 +26,14 @@ def test_one_edge_gives_back_its_probabilities() -> None:
     p = np.array([0.5, 0.3, 0.1])
     heard = [Measurement(random_poses(3, rng), p, 0.1)]
     T, probability, none = posterior(heard, np.zeros(3), GraphConfig())
-    np.testing.assert_allclose(T, heard[0].T, atol=1e-12)
+    np.testing.assert_allclose(T, heard[0].T_one_other, atol=1e-12)
     # The doubt also speaks beside each pose, at ε of its weight.
     np.testing.assert_allclose(probability, p, atol=0.02)
     assert none == pytest.approx(0.1, abs=0.02)
     # Of poses that agree, the probabilities count together.
-    near = Measurement(heard[0].T[[0, 0, 1]], p, 0.1)
+    near = Measurement(heard[0].T_one_other[[0, 0, 1]], p, 0.1)
     T, probability, _ = posterior([near], np.zeros(3), GraphConfig())
-    np.testing.assert_allclose(T, near.T[[0, 2]], atol=1e-12)
+    np.testing.assert_allclose(T, near.T_one_other[[0, 2]], atol=1e-12)
     np.testing.assert_allclose(probability, [0.8, 0.1], atol=0.03)
 
 

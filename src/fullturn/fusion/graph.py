@@ -196,10 +196,10 @@ class _Graph:
         for k in sorted(self.neighbors[i] & self.neighbors[j]):
             for first, second in product(self.between(i, k), self.between(k, j)):
                 p = (first.probability[:, None] * second.probability).ravel()
-                T = (first.T[:, None] @ second.T).reshape(-1, 4, 4)
+                T = (first.T_one_other[:, None] @ second.T_one_other).reshape(-1, 4, 4)
                 heard.append(Measurement(T, p, 1.0 - float(p.sum())))
         T, probability, _ = posterior(heard, np.zeros(3), self.config)
-        said = np.concatenate([measurement.T for measurement in direct])
+        said = np.concatenate([measurement.T_one_other for measurement in direct])
         is_direct = agree(T, said, np.zeros(3), self.config).any(1)
         return float(probability[is_direct].max(initial=0.0))
 
@@ -239,7 +239,7 @@ class _Graph:
         return T[0], float(probability[0]), none, is_symmetric
 
     def _is_firm(self, said: Measurement, T: np.ndarray, at: np.ndarray) -> bool:
-        here = agree(T[None], said.T, at, self.config)[0]
+        here = agree(T[None], said.T_one_other, at, self.config)[0]
         share = float(said.probability[here].sum())
         return said.doubt <= self.config.most_doubt and share >= self.config.least_share
 
@@ -264,7 +264,7 @@ class _Graph:
             for j in sorted(self.neighbors[i].intersection(other)):
                 back = np.eye(4) if as_new else invert(self.poses[j])
                 for said in self.between(i, j):
-                    T = self.poses[i] @ said.T @ back
+                    T = self.poses[i] @ said.T_one_other @ back
                     heard.append(Measurement(T, said.probability, said.doubt))
         middle = np.zeros(3) if as_new else self.poses[list(other), :3, 3].mean(0)
         return heard, middle

@@ -34,7 +34,7 @@ class AgreementConfig:
 class Measurement:
     """What one edge, or one path of two, says of a relative pose."""
 
-    T: np.ndarray  # (k, 4, 4)
+    T_one_other: np.ndarray  # (k, 4, 4)
     probability: np.ndarray  # (k,)
     doubt: float
 
@@ -49,9 +49,9 @@ def posterior(
     Poses agree within the tolerances, the shift taken at the point `at` (3,); each one that is
     returned is the mean of those that agree with it.
     """
-    T = np.concatenate([m.T for m in measurements])
+    T = np.concatenate([m.T_one_other for m in measurements])
     p = np.concatenate([m.probability for m in measurements])
-    starts = np.cumsum([0, *(len(m.T) for m in measurements[:-1])])
+    starts = np.cumsum([0, *(len(m.T_one_other) for m in measurements[:-1])])
     doubt = np.log([max(m.doubt, config.least_doubt) for m in measurements])
     order = np.argsort(-p, kind="stable")[:_MOST_HYPOTHESES]
     hypotheses = T[order[p[order] > 0]]
