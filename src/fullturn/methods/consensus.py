@@ -19,7 +19,7 @@ from fullturn.pose.fine import refine_fine
 from fullturn.pose.levels import LevelPair
 from fullturn.pose.search import LIMIT_EDGE_RAD, SearchConfig
 from fullturn.pose.symmetry import symmetry_of_poses
-from fullturn.pose.verdict import limited, same_pose
+from fullturn.pose.verdict import limited
 
 
 @dataclass(frozen=True)
@@ -84,9 +84,7 @@ class Consensus(Method):
         judged_at = time.perf_counter()
         answer = refine_fine(T[0], source, target, start=2.0 * found.spacing)
         angle = float(rigid.rotation_angle_rad(answer[:3, :3]))
-        within = max_rotation_rad is None or angle <= max_rotation_rad + LIMIT_EDGE_RAD
-        # The probability is that of poses next to this one.
-        if within and bool(same_pose(answer[None], T[:1])):
+        if max_rotation_rad is None or angle <= max_rotation_rad + LIMIT_EDGE_RAD:
             T[0] = answer
         rivals = T[1:][probability[1:] >= config.rival_share * probability[0]]
         symmetry = symmetry_of_poses(T[0], rivals)
