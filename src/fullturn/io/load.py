@@ -147,6 +147,7 @@ def _of_scene(thing: Any) -> Any:
 
 
 def _load_object(thing: Any, samples: int, name: str) -> LoadedCloud:
+    thing = _of_scene(thing)
     mesh = mesh_parts(thing)
     if mesh is not None:
         corners, faces = mesh
@@ -154,7 +155,6 @@ def _load_object(thing: Any, samples: int, name: str) -> LoadedCloud:
         points, _ = sample_surface(vertices, _triangles(faces, name), samples=samples, name=name)
         check_pose(points, name, precision=precision_of(np.asarray(corners).dtype))
         return LoadedCloud(points, (_sampled(name, len(points), len(faces)),), name)
-    thing = _of_scene(thing)
     if _is_tensor(thing):
         thing = _tensor_values(thing, name)
     elif not isinstance(thing, (list, tuple, np.ndarray)) and not hasattr(thing, "__array__"):

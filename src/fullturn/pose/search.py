@@ -167,8 +167,7 @@ class Search:
             T = torch.cat([given.to(T), T])
         features, signals = _measured(T, self._fine, self._coarse, self._clouds, self._learned)
         self._clock.lap("verify")
-        T = T.double()
-        T = nearest_motion(T)
+        T = nearest_motion(T.double())
         seconds = dict(self._clock.seconds)
         return Finalists(T, features, signals, self._fine.spacing, seconds, self._notes)
 

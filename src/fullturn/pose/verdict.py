@@ -73,7 +73,7 @@ def limited(
     small, large = sorted(
         center_and_radius(cloud.points.numpy(force=True))[1] for cloud in (source, target)
     )
-    if min(_distinct(source), _distinct(target)) < _LEAST_POINTS:
+    if _is_few(source) or _is_few(target):
         why = f"fewer than {_LEAST_POINTS} points"
     elif small < _LEAST_SIZE * large:
         why = f"one cloud is {large / small:.3g} times as large as the other"
@@ -83,9 +83,10 @@ def limited(
     return probability * (_UNKNOWN / max(float(probability.sum()), _UNKNOWN)), (note,)
 
 
-def _distinct(cloud: Cloud) -> int:
-    """How many different points there are."""
-    return len(np.unique(cloud.points.numpy(force=True), axis=0))
+def _is_few(cloud: Cloud) -> bool:
+    """Whether there are too few different points; the first hundred nearly always tell."""
+    points = cloud.points.numpy(force=True)
+    return all(len(np.unique(some, axis=0)) < _LEAST_POINTS for some in (points[:100], points))
 
 
 def verdict_inputs(
