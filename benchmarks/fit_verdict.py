@@ -4,6 +4,8 @@
     python benchmarks/fit_verdict.py collect --out runs/verdict --dense --first 4000 --count 4800 …
     python benchmarks/fit_verdict.py evidence --out runs/verdict
     python benchmarks/fit_verdict.py fit --out runs/verdict
+    python benchmarks/fit_verdict.py collect --out runs/confidence --seed 21 --count 4000 …
+    python benchmarks/fit_verdict.py confidence --out runs/confidence
 
 `collect` makes pairs of many kinds (one sampling or two, noise or none, half-space and plane crops,
 virtual scans, few and many points, unrelated shapes) from generated shapes and, with --data, from
@@ -11,8 +13,9 @@ the freely licensed meshes of a mesh pack; it runs the search and stores what ve
 of each finalist. It resumes where it stopped. The search looks twice where the verdict of the
 package doubts; if that was fit to other features, a first fit needs --once. `evidence` trains the
 network that sums up what all points say, `fit` then the verdict, which takes its number as one of
-its features: on 80 % of the shapes, with calibration on the rest; both write their weights into the
-package.
+its features: on 80 % of the shapes, with calibration on the rest. `confidence` learns from pairs
+that neither has seen, collected with their weights, how far scores can be trusted: on pairs of
+their fit, the evidence knows more than it will of others. Each writes its weights into the package.
 """
 
 from __future__ import annotations
@@ -30,6 +33,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from confidence_fit import fit_confidence
 from evidence_fit import evidence_of_all, fit_evidence, split_signals
 from free_shapes import DATA, free_shapes
 from fullturn.data.mixture import KINDS, mixed_pair
@@ -42,10 +46,11 @@ from fullturn.geometry.cloud import Cloud
 from fullturn.geometry.motion import invert, move, rigid
 from fullturn.nn.evidence import load_evidence_net
 from fullturn.normalize import normalized_clouds
+from fullturn.pose.confidence import confidence_inputs, confident
 from fullturn.pose.decide import find_and_judge
 from fullturn.pose.search import Finalists, SearchConfig, find_finalists
 from fullturn.pose.verdict import (
-    VerdictWeights,
+    load_weights,
     log_probabilities,
     same_pose,
     verdict_inputs,
@@ -77,6 +82,21 @@ Weights of the network that sums up what all keypoints say of a pose (`fullturn.
 {data}
 """
 
+CONFIDENCE_CARD = """# confidence.safetensors
+
+Weights of the network that says how far the verdict can be trusted in a pair
+(`fullturn.nn.confidence`).
+
+- Recipe: `benchmarks/fit_verdict.py`, {count} pairs that neither the evidence network nor the
+  verdict was fit on, four fifths of the shapes for the fit.
+{data}
+
+Scores on the fifth of the shapes that was held out, without the network and with it:
+
+{scores}
+"""
+
+_AT_ONCE = 4096  # pairs
 POINTS = 96  # of each cloud whose signals are kept
 
 WITHOUT_NETWORK = 0.15  # share of the pairs of the fit
@@ -164,14 +184,13 @@ class Collected:
 
 def load_table(rows: list[dict[str, Any]]) -> Collected:
     k = max(len(row["features"]) for row in rows)
-    n, width = len(rows), len(FEATURES)
-    features = torch.full((n, k, width), math.nan, dtype=torch.float64)
+    n = len(rows)
+    features = torch.full((n, k, len(FEATURES)), math.nan, dtype=torch.float64)
     present, right = torch.zeros(n, k, dtype=torch.bool), torch.zeros(n, k, dtype=torch.bool)
     same = torch.zeros(n, k, k, dtype=torch.bool)
     for i, row in enumerate(rows):
         count = len(row["features"])
-        # The evidence is left out: the network that was there then isn't the one that is fit.
-        features[i, :count, : -len(EVIDENCE)] = row["features"][:, : width - len(EVIDENCE)]
+        features[i, :count] = row["features"]
         present[i, :count] = True
         same[i, :count, :count] = same_pose(row["T"], row["T"])
         if row["T_true"] is not None:
@@ -232,15 +251,8 @@ def fit(args: argparse.Namespace) -> None:
     ).double()
     rng = np.random.default_rng(args.seed)
     held_out = held_out_rows(table.shape, rng)
+    forget_network(table, held_out, rng)
     inputs = verdict_inputs(table.features, table.present, fine=FINE)
-    # Without the descriptor network, these features can't be measured; the verdict knows that, too.
-    without = torch.from_numpy(rng.random(len(inputs)) < WITHOUT_NETWORK) & ~held_out
-    width = len(FEATURES)
-    columns = [
-        FEATURES.index(name) + part * width for name in AGREEMENT + EVIDENCE for part in range(3)
-    ]
-    for column in columns:
-        inputs[..., column].masked_fill_(without[:, None], torch.nan)
     weights = fit_logit(
         inputs,
         table.present,
@@ -254,30 +266,106 @@ def fit(args: argparse.Namespace) -> None:
     weights = dataclasses.replace(
         weights, output=SOFTENED * weights.output, none=SOFTENED * weights.none
     )
-    scores = report(table, torch.nonzero(held_out)[:, 0], inputs, weights)
+    with torch.no_grad():
+        log_p = log_probabilities(inputs, weights, table.present)
+    scores = report(table, held_out, log_p)
     print(scores)
     card = CARD.format(count=len(table.kind), data=DATA, scores=scores)
     write_weights(vars(weights), args.weights, metadata={"features": FEATURES}, card=card)
 
 
-def report(table: Collected, rows: Tensor, inputs: Tensor, weights: VerdictWeights) -> str:
-    """Accuracy and calibration of the answer on pairs that the fit has not seen, as a table."""
+def forget_network(table: Collected, held_out: Tensor, rng: np.random.Generator) -> None:
+    """Take from some pairs of the fit what can't be measured without the descriptor network.
+
+    The verdict has to know that case, too.
+    """
+    without = torch.from_numpy(rng.random(len(table.features)) < WITHOUT_NETWORK) & ~held_out
+    for name in AGREEMENT + EVIDENCE:
+        table.features[..., FEATURES.index(name)].masked_fill_(without[:, None], torch.nan)
+
+
+def fit_trust(args: argparse.Namespace) -> None:
+    rows = [{**row, "signals": None} for row in read_rows(args.out)]
+    if not rows:
+        raise SystemExit(f"expected collected pairs in {args.out}; run the step `collect` first")
+    table = load_table(rows)
+    held_out = held_out_rows(table.shape, np.random.default_rng(args.seed))
     with torch.no_grad():
-        p = log_probabilities(inputs[rows], weights, table.present[rows]).exp()[:, :-1]
-    merged = (table.same[rows].double() @ p[..., None])[..., 0]
+        log_p = log_probabilities(
+            verdict_inputs(table.features, table.present, fine=FINE), load_weights(), table.present
+        )
+    inputs = pair_inputs(table, [row["T"] for row in rows], log_p)
+    best, chosen = answers(table, log_p)
+    network = fit_confidence(
+        inputs,
+        log_p,
+        held_out,
+        (chosen, table.right.gather(1, best)[:, 0]),
+        loss_of(table),
+        steps=args.trust_steps,
+        seed=args.seed,
+    )
+    with torch.no_grad():
+        trusted = confident(log_p, network(inputs.float()).double())
+    scores = "\n\n".join(report(table, held_out, stated) for stated in (log_p, trusted))
+    print(scores)
+    write_weights(
+        network.state_dict(),
+        args.weights.with_name("confidence.safetensors"),
+        metadata={"config": dataclasses.asdict(network.config)},
+        card=CONFIDENCE_CARD.format(count=len(rows), data=DATA, scores=scores),
+    )
+
+
+def pair_inputs(table: Collected, T: list[Tensor], log_p: Tensor) -> Tensor:
+    """What the confidence of each pair depends on."""
+    inputs = []
+    for i, poses in enumerate(T):
+        k = len(poses)
+        own = torch.cat([log_p[i, :k], log_p[i, -1:]])
+        same = table.same[i, :k, :k]
+        inputs.append(confidence_inputs(poses.double(), table.features[i, :k], same, own))
+    return torch.stack(inputs)
+
+
+def answers(table: Collected, log_p: Tensor) -> tuple[Tensor, Tensor]:
+    """The finalist (n, 1) that most probability lies within the tolerance of, and those (n, k)."""
+    merged = torch.cat(
+        [
+            (table.same[some].double() @ log_p[some, :-1, None].exp())[..., 0]
+            for some in torch.arange(len(log_p)).split(_AT_ONCE)
+        ]
+    )
     best = merged.argmax(1, keepdim=True)
-    stated = merged.gather(1, best)[:, 0].numpy()
-    right = table.right[rows].gather(1, best)[:, 0].numpy()
-    found = table.right[rows].any(1).numpy()
-    kinds = table.kind[rows.numpy()]
+    return best, table.same[torch.arange(len(best)), best[:, 0]]
+
+
+def report(table: Collected, held_out: Tensor, log_p: Tensor) -> str:
+    """Accuracy and calibration of the answer on pairs that the fit has not seen, as a table."""
+    best, chosen = answers(table, log_p)
+    stated = (log_p.exp()[:, :-1] * chosen).sum(1)[held_out].numpy()
+    right = table.right.gather(1, best)[held_out, 0].numpy()
+    found = table.right.any(1)[held_out].numpy()
+    kinds = table.kind[held_out.numpy()]
     cells = []
     for kind in ["all", *KINDS]:
         of = np.ones(len(kinds), bool) if kind == "all" else kinds == kind
         ece = expected_calibration_error(stated[of], right[of])
-        shares = (found[of].mean(), right[of].mean(), stated[of].mean(), ece)
+        sure = stated[of] >= 0.9
+        shares = (found[of].mean(), right[of].mean(), stated[of].mean(), ece, sure.mean())
+        shares += (right[of][sure].mean() if sure.any() else math.nan,)
         cells.append([kind, str(of.sum()), *(f"{share:.3f}" for share in shares)])
     low = np.mean(stated[kinds == "unrelated"] <= 0.2)
-    header = ("kind", "pairs", "truth among finalists", "answer right", "probability", "ECE")
+    header = (
+        "kind",
+        "pairs",
+        "truth among finalists",
+        "answer right",
+        "probability",
+        "ECE",
+        "0.9",
+        "… right",
+    )
     text = markdown(
         Table("verdict", "Verdict", plain_header(header), tuple(tuple(c) for c in cells))
     )
@@ -285,13 +373,14 @@ def report(table: Collected, rows: Tensor, inputs: Tensor, weights: VerdictWeigh
 
 
 def main() -> None:
-    steps = {"collect": collect, "evidence": fit_points, "fit": fit}
+    steps = {"collect": collect, "evidence": fit_points, "fit": fit, "confidence": fit_trust}
     parser = steps_parser(
         __doc__, "verdict", steps=steps, collected="pairs", count=4000, shard=50, seed=20
     )
     parser.set_defaults(hidden=64, steps=6000, weight_decay=0.5)
     parser.add_argument("--width", type=int, default=32, help="of the evidence network")
     parser.add_argument("--evidence-steps", type=int, default=7000)
+    parser.add_argument("--trust-steps", type=int, default=1500)
     parser.add_argument("--once", action="store_true", help="the search doesn't look twice")
     parser.add_argument("--dense", action="store_true", help="clouds of 5,000 points and more")
     args = parser.parse_args()

@@ -62,7 +62,9 @@ def test_what_a_module_imports_beside_it_counts(
     assert len(set(seen)) == 3
 
 
-@pytest.mark.parametrize("name", ["verdict.safetensors", "evidence.safetensors", "api.py"])
+@pytest.mark.parametrize(
+    "name", ["verdict.safetensors", "evidence.safetensors", "confidence.safetensors", "api.py"]
+)
 def test_what_register_adds_counts_where_it_is_a_root(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

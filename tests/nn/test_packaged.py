@@ -12,6 +12,7 @@ from safetensors.torch import save_file
 
 from fullturn.errors import ReadError
 from fullturn.nn import packaged
+from fullturn.nn.confidence import load_confidence_net
 from fullturn.nn.evidence import load_evidence_net
 from fullturn.nn.surface import load_surface_net
 
@@ -20,7 +21,11 @@ EVIDENCE = {"signals": ["a", "b", "c", "d"], "compared": ["b", "d"], "width": 8}
 
 @pytest.mark.parametrize(
     ("load", "name", "config"),
-    [(load_surface_net, "descriptor", {}), (load_evidence_net, "evidence", EVIDENCE)],
+    [
+        (load_surface_net, "descriptor", {}),
+        (load_evidence_net, "evidence", EVIDENCE),
+        (load_confidence_net, "confidence", {"inputs": ["a"], "width": 8}),
+    ],
 )
 def test_weights_of_another_network_are_refused(
     load: Callable[[], Any],

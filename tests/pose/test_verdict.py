@@ -13,7 +13,7 @@ from torch import Tensor
 from fullturn.errors import FullturnError
 from fullturn.geometry import rigid
 from fullturn.geometry.cloud import Cloud
-from fullturn.pose import verdict
+from fullturn.pose import confidence, verdict
 from fullturn.pose.verdict import (
     VerdictWeights,
     judge,
@@ -49,6 +49,7 @@ def weights(seed: int = 0, *, features: int = F) -> VerdictWeights:
 @pytest.fixture(autouse=True)
 def made_up_weights(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(verdict, "load_weights", weights)
+    monkeypatch.setattr(confidence, "load_confidence_net", lambda: None)
 
 
 def rows(count: int, *, seed: int = 0) -> Tensor:
@@ -196,6 +197,20 @@ def test_single_precision_features_are_judged_in_double() -> None:
     precise, coarse = judge(T, features), judge(T, features.float())
     assert coarse.index == precise.index
     assert coarse.probability == pytest.approx(precise.probability, abs=1e-5)
+
+
+def test_doubt_is_of_the_scores_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    T, features = random_motions(6, seed=7), rows(6)
+    plain = judge(T, features)
+
+    def surer_of_none(*told: Tensor) -> Tensor:
+        return (told[-1] + torch.eye(7)[-1]).log_softmax(-1)
+
+    monkeypatch.setattr(verdict, "trusted", surer_of_none)
+    trusted = judge(T, features)
+    assert trusted.doubt == plain.doubt
+    assert trusted.index == plain.index
+    assert sum(trusted.probability) < sum(plain.probability)
 
 
 def test_the_shipped_weights_fit_the_features() -> None:

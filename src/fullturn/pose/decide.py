@@ -27,6 +27,6 @@ def find_and_judge(
     for width in (config, config.wider(modes=_MODES, finalists=_FINALISTS)):
         found = search.finalists(width)
         judged = judge(found.T_target_source, found.features, max_rotation_rad=max_rotation_rad)
-        if judged.none <= _DOUBT:
+        if judged.doubt <= _DOUBT:
             break
     return found, judged

@@ -17,6 +17,7 @@ from fullturn.geometry import rigid
 from fullturn.geometry.cloud import Cloud
 from fullturn.geometry.extent import center_and_radius
 from fullturn.nn.packaged import packaged_weights
+from fullturn.pose.confidence import trusted
 from fullturn.pose.verify import FEATURES, FINE
 
 # What "the same pose" and "right" mean: within 5° and 5 % of the larger cloud's radius, at the
@@ -59,7 +60,7 @@ class Judged:
 
     index: list[int]  # into the finalists
     probability: list[float]  # of each; they sum to at most 1
-    none: float  # the probability that none of the finalists is right
+    doubt: float  # the probability that none of them is right, by their scores alone
 
 
 def limited(
@@ -183,11 +184,8 @@ def finalist_probabilities(
 
     `max_rotation_rad`: the largest rotation that is possible, where somebody knows one.
     """
-    inputs = verdict_inputs(features.double(), fine=FINE)
-    log_p = log_probabilities(inputs, load_weights())
-    if max_rotation_rad is not None:
-        log_p[:-1] += log_rotation_prior(T_target_source.to(log_p), max_rotation_rad)
-    return log_p.softmax(-1)
+    same = same_pose(T_target_source, T_target_source)
+    return _shares(T_target_source, features, same, max_rotation_rad)[0]
 
 
 def judge(
@@ -200,10 +198,24 @@ def judge(
 
     That probability is the sum over the finalists within the tolerance (`merge_same`).
     """
-    shares = finalist_probabilities(T_target_source, features, max_rotation_rad=max_rotation_rad)
     same = same_pose(T_target_source, T_target_source)
-    index, probability = merge_same(shares[:-1], same)
-    return Judged(index, probability, float(shares[-1]))
+    shares, doubt = _shares(T_target_source, features, same, max_rotation_rad)
+    return Judged(*merge_same(shares[:-1], same), doubt)
+
+
+def _shares(
+    T_target_source: Float[Tensor, "k 4 4"],
+    features: Float[Tensor, "k f"],
+    same: Bool[Tensor, "k k"],
+    max_rotation_rad: float | None,
+) -> tuple[Float[Tensor, " k+1"], float]:
+    """Of each finalist and, last, of none; and that last one as the scores alone have it."""
+    log_p = log_probabilities(verdict_inputs(features.double(), fine=FINE), load_weights())
+    stated = torch.stack([trusted(T_target_source, features, same, log_p), log_p])
+    if max_rotation_rad is not None:
+        stated[:, :-1] += log_rotation_prior(T_target_source.to(log_p), max_rotation_rad)
+    shares, alone = stated.softmax(-1)
+    return shares, float(alone[-1])
 
 
 def merge_same(
