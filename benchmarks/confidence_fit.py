@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from fullturn.nn.confidence import ConfidenceNet, ConfidenceNetConfig
-from fullturn.pose.confidence import INPUTS, confident
+from fullturn.pose.confidence import INPUTS, tempered
 
 BATCH = 512  # pairs
 RATE = 3e-3
@@ -43,7 +43,7 @@ def fit_confidence(
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps)
 
     def value_of(rows: Tensor) -> Tensor:
-        stated = confident(log_p[rows], network(inputs[rows].float()).double())
+        stated = tempered(log_p[rows], network(inputs[rows].float()).double())
         share = (stated[:, :-1].exp() * chosen[rows]).sum(1).clamp(1e-4, 1 - 1e-4)
         return loss(stated, rows) + torch.nn.functional.binary_cross_entropy(share, right[rows])
 

@@ -46,7 +46,7 @@ from fullturn.geometry.cloud import Cloud
 from fullturn.geometry.motion import invert, move, rigid
 from fullturn.nn.evidence import load_evidence_net
 from fullturn.normalize import normalized_clouds
-from fullturn.pose.confidence import confidence_inputs, confident
+from fullturn.pose.confidence import confidence_inputs, tempered
 from fullturn.pose.decide import find_and_judge
 from fullturn.pose.search import Finalists, SearchConfig, find_finalists
 from fullturn.pose.verdict import (
@@ -306,7 +306,7 @@ def fit_trust(args: argparse.Namespace) -> None:
         seed=args.seed,
     )
     with torch.no_grad():
-        trusted = confident(log_p, network(inputs.float()).double())
+        trusted = tempered(log_p, network(inputs.float()).double())
     scores = "\n\n".join(report(table, held_out, stated) for stated in (log_p, trusted))
     print(scores)
     write_weights(

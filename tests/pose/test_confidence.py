@@ -11,7 +11,7 @@ from torch import Tensor
 
 from fullturn.geometry import rigid
 from fullturn.pose import confidence
-from fullturn.pose.confidence import INPUTS, confidence_inputs, confident, trusted
+from fullturn.pose.confidence import INPUTS, confidence_inputs, tempered, trusted
 from fullturn.pose.verdict import same_pose
 from fullturn.pose.verify import EVIDENCE, FEATURES
 
@@ -69,13 +69,13 @@ def test_without_a_rival_nothing_lies_between(rows: list[int]) -> None:
     assert found["evidence_above_rival"] == 0.0
 
 
-def test_confident_by_hand() -> None:
+def test_tempered_by_hand() -> None:
     log_p = torch.tensor([P, P[::-1]]).double().log()
     trust = torch.tensor([[0.5, 1.0], [2.0, 0.0]]).double()
     expected = np.array([np.sqrt(P), np.square(P[::-1])])
     expected[0, -1] *= math.e
     expected /= expected.sum(1, keepdims=True)
-    np.testing.assert_allclose(confident(log_p, trust).exp().numpy(), expected, atol=1e-9)
+    np.testing.assert_allclose(tempered(log_p, trust).exp().numpy(), expected, atol=1e-9)
 
 
 def test_the_ranking_of_poses_stays() -> None:

@@ -1,9 +1,9 @@
 """How sure a verdict may be, by what the pair as a whole shows.
 
 A score says how much speaks for a pose. How far scores can be trusted differs from pair to pair:
-less where all that speaks for the answer is the evidence of the points, which the verdict was fit
-to have seen before, where many poses were measured, or where the strongest rival is a half turn
-away, as on shapes that are nearly symmetric.
+it depends on how much of them is the evidence of the points, which was fit on the same pairs as the
+verdict and knows less of others, on how many poses the best one was picked from, and on whether the
+strongest rival is a half turn away, as on shapes that are nearly symmetric.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def confidence_inputs(
     )
 
 
-def confident(
+def tempered(
     log_p: Float[Tensor, "*pairs n"], trust: Float[Tensor, "*pairs 2"]
 ) -> Float[Tensor, "*pairs n"]:
     """Log probabilities of the finalists and, last, "none of them", at the pair's temperature."""
@@ -81,4 +81,4 @@ def trusted(
     inputs = confidence_inputs(T_target_source, features, same, log_p)
     with torch.no_grad():
         trust = network.to(inputs.device)(inputs.float())
-    return confident(log_p, trust.to(log_p))
+    return tempered(log_p, trust.to(log_p))
