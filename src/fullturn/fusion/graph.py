@@ -25,7 +25,7 @@ class GraphConfig(AgreementConfig):
     min_probability: float = 0.8  # to join two groups
     # … by one firm edge at least: many weak ones often share one mistake, as on shapes that are
     # nearly symmetric. It doubts no more than this, and gives the pose at least this probability.
-    most_doubt: float = 0.3
+    most_doubt: float = 0.5
     least_share: float = 0.2
     sweeps: int = 4  # rounds in which every scan is asked again; two may send each other to and fro
 

@@ -19,7 +19,7 @@ from fullturn.pose.fine import refine_fine
 from fullturn.pose.levels import LevelPair
 from fullturn.pose.search import LIMIT_EDGE_RAD, SearchConfig
 from fullturn.pose.symmetry import symmetry_of_poses
-from fullturn.pose.verdict import limited
+from fullturn.pose.verdict import limited, same_pose
 
 
 @dataclass(frozen=True)
@@ -86,6 +86,11 @@ class Consensus(Method):
         angle = float(rigid.rotation_angle_rad(answer[:3, :3]))
         if max_rotation_rad is None or angle <= max_rotation_rad + LIMIT_EDGE_RAD:
             T[0] = answer
+        # Refined, the answer may have come to what was another pose.
+        is_answer = same_pose(T[:1], T)[0]
+        is_answer[0] = False
+        probability[0] += probability[is_answer].sum()
+        T, probability = T[~is_answer], probability[~is_answer]
         rivals = T[1:][probability[1:] >= config.rival_share * probability[0]]
         symmetry = symmetry_of_poses(T[0], rivals)
         end = time.perf_counter()

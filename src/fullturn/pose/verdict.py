@@ -165,10 +165,11 @@ def log_rotation_prior(
 
     Of the truth, every angle up to L is expected alike. A wrong pose turns by any rotation within
     L, which are more the larger they are: its angle has the density (1 − cos θ)/(L − sin L).
-    This is the logarithm of the ratio; angles below L/10 count as that.
+    This is the logarithm of the ratio. Angles below L/10 count as that; those beyond L, which only
+    errors of a pose can lead to, count as L.
     """
     L = max_rotation_rad
-    angle = rigid.rotation_angle_rad(T_target_source[:, :3, :3]).clamp_min(_SMALL_TURN * L)
+    angle = rigid.rotation_angle_rad(T_target_source[:, :3, :3]).clamp(_SMALL_TURN * L, L)
     # Both to their digits for small angles: 1 − cos θ = 2 sin²(θ/2), L − sin L ≈ L³/6.
     wrong = math.log(L - math.sin(L)) if L > _SERIES_BELOW_RAD else 3 * math.log(L) - math.log(6)
     return wrong - math.log(2 * L) - 2 * (angle / 2).sin().log()
