@@ -46,8 +46,9 @@ def register(
     `.vertices`, a mesh (sampled) or a `LoadedCloud`. Any unit will do, the same for both. A
     viewpoint (3,) says where the sensor stood, in the frame and unit of its cloud.
     `max_rotation_deg`, where it is known, is the largest rotation that can lie between the clouds
-    as they come in: only poses whose R turns by no more are looked for, and every angle up to it
-    is taken as equally probable (180 is no limit). A translation isn't bounded by it.
+    as they come in: only poses whose R turns by no more (by 3° at most, as poses have errors) are
+    looked for, and every angle up to it is taken as equally probable (180 is no limit). A
+    translation isn't bounded by it.
     Where `load_cloud` drops missing returns, `matches` count the points that stayed.
 
     >>> rng = np.random.default_rng(0)

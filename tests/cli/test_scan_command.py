@@ -195,3 +195,17 @@ def test_it_writes_over_no_mesh(run, tmp_path):
     with pytest.raises(WriteError, match="is an input"):
         run(mesh, "--out", tmp_path, *QUICK)
     assert mesh.read_bytes() == content
+
+
+def test_an_interrupted_scan_leaves_no_poses_of_another(run, cube, tmp_path, monkeypatch):
+    from fullturn.io import save
+
+    out = tmp_path / "views"
+    assert run(cube, "--out", out, *QUICK).exit_code == 0
+
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(save, "save_cloud", interrupted)
+    assert run(cube, "--out", out, *QUICK, "--seed", "1").exit_code != 0
+    assert not (out / "poses.json").exists()

@@ -112,3 +112,13 @@ def test_unreadable_packs_are_named(tmp_path: Path) -> None:
     np.savez(tmp_path / "other.npz", a=np.zeros(3))
     with pytest.raises(ReadError, match="missing"):
         ModelNetSubset(tmp_path / "other.npz")
+
+
+def test_a_mesh_that_cannot_be_read_is_named_and_hidden_files_are_none(tmp_path: Path) -> None:
+    box((1, 1, 1)).export(tmp_path / "cube.obj")
+    (tmp_path / "._cube.obj").write_bytes(b"\x00\x05\x16\x07")
+    (tmp_path / "torn.ply").write_bytes(b"ply\nformat binary_little_endian 1.0\n")
+    shapes = MeshFolder(tmp_path)
+    assert [shapes.name(i) for i in range(len(shapes))] == ["cube", "torn"]
+    with pytest.raises(ReadError, match=r"torn\.ply, cannot read it"):
+        shapes.raw_mesh(1)

@@ -203,3 +203,13 @@ def test_identical_pairs_are_predicted_once(tmp_path: Path) -> None:
     assert summary["sets"]["listed/pairs"]["methods"]["truth"]["n"] == 2
     (store,) = (tmp_path / "c").rglob("*.jsonl")
     assert len(store.read_text().splitlines()) == 1
+
+
+def test_what_failed_is_tried_again(tmp_path: Path) -> None:
+    home = write_methods(tmp_path)
+    for _ in range(2):
+        evaluate(
+            [listed_pairs(4)], [f"{home}:Raises"], out=tmp_path / "run", cache=tmp_path / "cache"
+        )
+        (store,) = (tmp_path / "cache").rglob("*.jsonl")
+        assert len(store.read_text().splitlines()) == 3

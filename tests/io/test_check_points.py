@@ -45,3 +45,9 @@ def test_a_shape_that_single_precision_has_crushed_is_refused() -> None:
 
 def test_three_points_are_enough() -> None:
     load_cloud([[0, 0, 0], [1, 0, 0], [0, 1, 0]])
+
+
+def test_coordinates_that_are_too_coarse_are_said_to_be() -> None:
+    far = (PLANE + 5e6).astype("f4")
+    with pytest.raises(InputError, match="save them in double precision"):
+        load_cloud(far)

@@ -128,3 +128,14 @@ def test_truncation_is_named(encoding: str, keep: float, points: np.ndarray) -> 
 def test_damage_is_named(old: bytes, new: bytes, message: str, points: np.ndarray) -> None:
     with pytest.raises(ReadError, match=message):
         read_pcd(pcd(points, "binary").replace(old, new), "a.pcd")
+
+
+@pytest.mark.parametrize(("place", "noted"), [("0.0e+00 0 -0.", False), ("0 0 1e-3", True)])
+def test_a_viewpoint_that_is_not_the_origin_is_noted(place: str, noted: bool) -> None:
+    from fullturn.io.pcd import read_pcd
+
+    header = (
+        "FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH 1\nHEIGHT 1\n"
+        f"VIEWPOINT {place} 1 0 0 0\nPOINTS 1\nDATA ascii\n1 2 3\n"
+    )
+    assert bool(read_pcd(header.encode(), "x").notes) == noted

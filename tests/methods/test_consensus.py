@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from functools import cache
 from typing import Any
 
@@ -15,6 +16,7 @@ from fullturn.data.motion import uniform_rotation
 from fullturn.data.procedural import demo_object, procedural_mesh
 from fullturn.data.surface import sample_surface
 from fullturn.geometry.motion import move, rigid
+from fullturn.pose.verdict import Judged
 
 
 @cache
@@ -327,3 +329,37 @@ def test_a_sensor_may_stand_anywhere() -> None:
         for far in (1e8, 1e40, 1e200)
     }
     assert max(said) - min(said) < 1e-6
+
+
+def test_a_refined_answer_takes_the_pose_that_it_came_to(monkeypatch: pytest.MonkeyPatch) -> None:
+    import torch
+
+    from fullturn.methods import consensus
+
+    source, target = (partial(teapot(), 300, seed=seed) for seed in (1, 2))
+    judged = consensus.find_and_judge
+
+    def two_near(*clouds: Any, **options: Any) -> Any:
+        """The answer, with one half, and a pose 8° away with a quarter."""
+        found, _ = judged(*clouds, **options)
+        T = torch.eye(4).double().repeat(2, 1, 1)
+        T[1, :3, :3] = torch.from_numpy(Rotation.from_rotvec([0, 0, np.radians(8)]).as_matrix())
+        two = dataclasses.replace(
+            found, T_target_source=T, features=found.features[[0, 0]], signals=None
+        )
+        return two, Judged([0, 1], [0.5, 0.25], 0.0)
+
+    monkeypatch.setattr(consensus, "find_and_judge", two_near)
+    monkeypatch.setattr(consensus, "refine_fine", lambda T, *_, **__: T)
+    apart = fullturn.register(source, target)
+    assert apart.success_probability == pytest.approx(0.5)
+    assert len(apart.alternatives) == 1
+
+    def turned(T: Any, *_: Any, **__: Any) -> Any:
+        turn = Rotation.from_rotvec([0, 0, np.radians(6)]).as_matrix()
+        return T @ torch.from_numpy(rigid(turn, np.zeros(3)))
+
+    monkeypatch.setattr(consensus, "refine_fine", turned)
+    together = fullturn.register(source, target)
+    assert together.success_probability == pytest.approx(0.75)
+    assert together.alternatives == ()

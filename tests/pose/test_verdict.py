@@ -182,6 +182,14 @@ def test_the_prior_is_a_ratio_of_two_densities(limit_deg: float) -> None:
     assert float(torch.trapezoid(of_truth, angles)) == pytest.approx(1.0, abs=0.08)
 
 
+def test_poses_beyond_a_limit_count_as_at_the_limit() -> None:
+    T = torch.eye(4).double().repeat(2, 1, 1)
+    T[:, :3, :3] = rigid.exp_so3(torch.tensor([[0.002, 0.0, 0.0], [0.05, 0.0, 0.0]]).double())
+    at, beyond = log_rotation_prior(T, 0.002).tolist()
+    assert at == pytest.approx(math.log(1 / 3), abs=1e-3)
+    assert beyond == pytest.approx(at)
+
+
 def test_among_equals_a_known_limit_prefers_the_smaller_turn() -> None:
     turns = torch.tensor([[1.0, 0, 0], [0, 0.5, 0], [0, 0, 1.2]]).double()
     T = torch.eye(4).double().repeat(3, 1, 1)

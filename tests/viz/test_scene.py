@@ -104,3 +104,11 @@ def test_examples_in_the_docstrings():
     import doctest
 
     assert doctest.testmod(module).failed == 0
+
+
+def test_stray_points_are_not_drawn(make_pair):
+    source, target, result = make_pair(count=200)
+    stray = source.mean(0) + 1000 * np.ptp(source, axis=0)
+    scene = make_scene(np.vstack([source, stray]), target, result, max_points=1000)
+    np.testing.assert_array_equal(scene.source, source)
+    assert scene.source_total == 201

@@ -22,7 +22,8 @@ def known_errors(command: Callable[..., Any]) -> Callable[..., Any]:
     def guarded(*args: Any, **options: Any) -> Any:
         try:
             result = command(*args, **options)
-            sys.stdout.flush()
+            if sys.stdout is not None:  # closed by who called
+                sys.stdout.flush()
             return result
         except FullturnError as error:
             tell(f"error: {error}")

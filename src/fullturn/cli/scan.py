@@ -75,6 +75,9 @@ def scan(
     digits = max(2, len(str(views - 1)))
     names = [f"view_{number:0{digits}d}" for number in range(views)]
     check_outputs(*((out / f"{name}.ply", (".ply",)) for name in names), inputs=(mesh,))
+    earlier = _names(out / "poses.json")
+    # An interrupted run leaves clouds without poses, rather than with those of the run before.
+    (out / "poses.json").unlink(missing_ok=True)
     entries, depths = [], []
     with progress_bar("scanning", views) as advance:
         for name, view in zip(names, scans, strict=True):
@@ -90,7 +93,6 @@ def scan(
         "sensor": asdict(sensor),
         "plane": plane,
     }
-    earlier = _names(out / "poses.json")
     write_atomic(out / "poses.json", _json(about, entries))
     _remove(out, earlier - {entry["name"] for entry in entries if entry["points"]})
 

@@ -33,7 +33,11 @@ def train(
     ] = False,
     data: Annotated[
         Path | None,
-        typer.Option(help="Folder of data; default: the variable FULLTURN_DATA, then as written."),
+        typer.Option(
+            exists=True,
+            file_okay=False,
+            help="Folder of data; default: as written, then the variable FULLTURN_DATA.",
+        ),
     ] = None,
     show: Annotated[
         bool, typer.Option("--show", help="Print the whole recipe as TOML, and stop.")

@@ -20,7 +20,7 @@ from fullturn.data.npz import open_npz
 from fullturn.data.procedural import procedural_family, procedural_mesh
 from fullturn.data.provenance import sha256_of_file, sha256_of_files
 from fullturn.data.surface import sample_surface
-from fullturn.errors import InputError, ReadError
+from fullturn.errors import InputError, ReadError, one_line
 
 _MESH_SUFFIXES = {".glb", ".gltf", ".obj", ".off", ".ply", ".stl"}
 _NORMALIZATION_COUNT = 4096
@@ -160,7 +160,9 @@ class MeshFolder(MeshSource):
     def __init__(self, path: str | Path) -> None:
         self._root = Path(path)
         self._files = sorted(
-            file for file in self._root.rglob("*") if file.suffix.lower() in _MESH_SUFFIXES
+            file
+            for file in self._root.rglob("*")
+            if file.suffix.lower() in _MESH_SUFFIXES and not file.name.startswith(".")
         )
         if not self._files:
             raise ReadError(
@@ -190,7 +192,14 @@ class MeshFolder(MeshSource):
         return parts[0] if len(parts) > 1 else ""
 
     def raw_mesh(self, index: int) -> trimesh.Trimesh:
-        mesh = trimesh.load(self._files[index], force="mesh", process=False)
+        try:
+            mesh = trimesh.load(self._files[index], force="mesh", process=False)
+        # Whatever the reader of the format raises at what is damaged.
+        except Exception as error:
+            raise ReadError(
+                f"expected a triangle mesh in {self._files[index]}, cannot read it: "
+                f"{one_line(error)}; remove the file"
+            ) from error
         if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
             raise ReadError(
                 f"expected a triangle mesh in {self._files[index]}, found no faces; remove the file"

@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float
 from fullturn.errors import InputError, ReadError, one_line
 from fullturn.evaluation.run import FORMAT, slug
 
+_FROZEN = "frozen"  # in the description of a set that comes from a frozen file
 _TOLD = "told_rotation_deg"  # in the description of a set
 
 
@@ -200,8 +201,19 @@ def _read_json(path: Path) -> dict[str, Any]:
 
 def _check_same_pairs(known: SetResult, part: Mapping[str, Any], folder: Path) -> None:
     """Methods stand beside one another only on the same pairs, whatever they were told of them."""
-    first = {**known.description, "count of pairs": known.count}
-    other = {**part["description"], "count of pairs": part["count"]}
+    first, other = (
+        {**description, "count of pairs": count, _FROZEN: None}
+        for description, count in (
+            (known.description, known.count),
+            (part["description"], part["count"]),
+        )
+    )
+    # Two frozen files are the same if their arrays are, whatever they are called.
+    frozen = [
+        d[_FROZEN]["sha256"] for d in (known.description, part["description"]) if _FROZEN in d
+    ]
+    if len(set(frozen)) > 1:
+        first[_FROZEN], other[_FROZEN] = frozen
     differing = sorted(
         key for key in (first.keys() | other.keys()) - {_TOLD} if first.get(key) != other.get(key)
     )

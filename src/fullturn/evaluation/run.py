@@ -166,9 +166,11 @@ class _Oracle:
 
         def done(number: int, result: Prediction | FullturnError) -> None:
             name, index = tasks[number]
-            if isinstance(result, FullturnError):
-                # The process died, perhaps of too little memory: tried again by the next run.
-                caches[name].found[hashes[index]] = Prediction(np.eye(4), error=str(result))
+            if isinstance(result, FullturnError):  # the process died
+                result = Prediction(np.eye(4), error=str(result))
+            if result.error is not None:
+                # It may be due to this run alone, such as too little memory: tried again next time.
+                caches[name].found[hashes[index]] = result
             else:
                 caches[name].add(hashes[index], result)
             self.advance(1)

@@ -129,6 +129,12 @@ def check_pose(points: np.ndarray, name: str, *, precision: float) -> None:
     squares = np.linalg.eigvalsh(centered.T @ centered / len(points))
     first, second = np.sqrt(np.maximum(squares[[2, 1]], 0.0))
     rounding = 4.0 * precision * (largest / extent)
+    if _COLLINEAR * first < second <= rounding:
+        raise InputError(
+            f"{name}: expected points that span at least a plane, all {len(points)} lie on one "
+            f"line as far as their coordinates can tell (up to {largest:.3g}, in steps of up to "
+            f"{precision * largest:.2g}); save them in double precision, or subtract an offset"
+        )
     if second <= max(_COLLINEAR * first, rounding):
         raise InputError(
             f"{name}: expected points that span at least a plane, all {len(points)} lie on one "

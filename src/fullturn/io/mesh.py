@@ -153,7 +153,7 @@ def _off_cloud(data: bytes, name: str) -> np.ndarray | None:
 
 
 def _obj_vertices(data: bytes, name: str) -> np.ndarray:
-    rows = [line.split()[1:4] for line in data.splitlines() if line.startswith((b"v ", b"v\t"))]
+    rows = [line.split()[1:4] for line in data.splitlines() if line.split()[:1] == [b"v"]]
     try:
         return np.array(rows, dtype=np.float64).reshape(-1, 3)
     except ValueError as error:

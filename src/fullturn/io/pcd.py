@@ -8,6 +8,7 @@ import numpy as np
 
 from fullturn.errors import ReadError, one_line
 from fullturn.io.raw import Raw
+from fullturn.io.text import three_numbers
 
 _KEYS = {"VERSION", "FIELDS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS"}
 _KINDS = {"F": "f", "I": "i", "U": "u"}
@@ -39,7 +40,7 @@ def read_pcd(data: bytes, name: str) -> Raw:
             f"a problem with {one_line(error)}; the file is damaged"
         ) from error
     notes: tuple[str, ...] = ()
-    if any(word.strip("+-.0") for word in header.get("VIEWPOINT", [])[:3]):
+    if header.get("VIEWPOINT") and three_numbers(" ".join(header["VIEWPOINT"][:3])) != (0, 0, 0):
         notes = (
             f"{name}: its VIEWPOINT isn't used, for files mean several things by it; where the "
             "sensor stood can be told as a viewpoint",

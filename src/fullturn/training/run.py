@@ -121,15 +121,15 @@ def _quiet(text: str) -> None:
 def _state(
     out: Path, config: TrainConfig, *, resume: bool, note: Callable[[str], None]
 ) -> State | None:
-    if not has_state(out):
-        if resume:
-            note(f"no checkpoint in {out} yet; starting at step 0")
-        return None
-    if not resume:
+    if not resume and (has_state(out) or (out / RECIPE).exists()):
         raise InputError(
             f"{out} holds a run already; go on with it by --resume, or choose another folder "
             "with --out"
         )
+    if not has_state(out):
+        if resume:
+            note(f"no checkpoint in {out} yet; starting at step 0")
+        return None
     state = load_state(out)
     before, now = dict(state.record["recipe"]), to_table(config)
     different = sorted(_differences(_without(before), _without(now)))
