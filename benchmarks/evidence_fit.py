@@ -51,8 +51,6 @@ def split_signals(
             counts.append(len(values))
             kept.append(row)
             one = values.shape[1:]
-    if not kept:
-        raise SystemExit(f"expected collected pairs in {file.parent}; run the step `collect` first")
     first = np.cumsum(counts)
     return kept, Signals(np.memmap(file, np.float16, "r", shape=(int(first[-1]), *one)), first)
 

@@ -181,6 +181,18 @@ class Collected:
     kind: np.ndarray
     shape: np.ndarray
 
+    def only(self, rows: Tensor) -> Collected:
+        """Some of the pairs, by a mask (pairs,)."""
+        of = rows.numpy()
+        return Collected(
+            self.features[rows],
+            self.present[rows],
+            self.right[rows],
+            self.same[rows],
+            self.kind[of],
+            self.shape[of],
+        )
+
 
 def load_table(rows: list[dict[str, Any]]) -> Collected:
     k = max(len(row["features"]) for row in rows)
@@ -266,9 +278,10 @@ def fit(args: argparse.Namespace) -> None:
     weights = dataclasses.replace(
         weights, output=SOFTENED * weights.output, none=SOFTENED * weights.none
     )
+    unseen = table.only(held_out)
     with torch.no_grad():
-        log_p = log_probabilities(inputs, weights, table.present)
-    scores = report(table, held_out, log_p)
+        log_p = log_probabilities(inputs[held_out], weights, unseen.present)
+    scores = report(unseen, log_p)
     print(scores)
     card = CARD.format(count=len(table.kind), data=DATA, scores=scores)
     write_weights(vars(weights), args.weights, metadata={"features": FEATURES}, card=card)
@@ -286,8 +299,6 @@ def forget_network(table: Collected, held_out: Tensor, rng: np.random.Generator)
 
 def fit_trust(args: argparse.Namespace) -> None:
     rows = [{**row, "signals": None} for row in read_rows(args.out)]
-    if not rows:
-        raise SystemExit(f"expected collected pairs in {args.out}; run the step `collect` first")
     table = load_table(rows)
     held_out = held_out_rows(table.shape, np.random.default_rng(args.seed))
     with torch.no_grad():
@@ -307,7 +318,8 @@ def fit_trust(args: argparse.Namespace) -> None:
     )
     with torch.no_grad():
         trusted = tempered(log_p, network(inputs.float()).double())
-    scores = "\n\n".join(report(table, held_out, stated) for stated in (log_p, trusted))
+    unseen = table.only(held_out)
+    scores = "\n\n".join(report(unseen, stated[held_out]) for stated in (log_p, trusted))
     print(scores)
     write_weights(
         network.state_dict(),
@@ -340,13 +352,12 @@ def answers(table: Collected, log_p: Tensor) -> tuple[Tensor, Tensor]:
     return best, table.same[torch.arange(len(best)), best[:, 0]]
 
 
-def report(table: Collected, held_out: Tensor, log_p: Tensor) -> str:
+def report(table: Collected, log_p: Tensor) -> str:
     """Accuracy and calibration of the answer on pairs that the fit has not seen, as a table."""
     best, chosen = answers(table, log_p)
-    stated = (log_p.exp()[:, :-1] * chosen).sum(1)[held_out].numpy()
-    right = table.right.gather(1, best)[held_out, 0].numpy()
-    found = table.right.any(1)[held_out].numpy()
-    kinds = table.kind[held_out.numpy()]
+    stated = (log_p.exp()[:, :-1] * chosen).sum(1).numpy()
+    right = table.right.gather(1, best)[:, 0].numpy()
+    found, kinds = table.right.any(1).numpy(), table.kind
     cells = []
     for kind in ["all", *KINDS]:
         of = np.ones(len(kinds), bool) if kind == "all" else kinds == kind

@@ -28,7 +28,10 @@ def held_out_rows(shape: np.ndarray, rng: np.random.Generator) -> Tensor:
 
 def read_rows(folder: Path) -> Iterator[dict[str, Any]]:
     """All that was collected, in the order of the files' names."""
-    for file in sorted(folder.glob("*.pt")):
+    files = sorted(folder.glob("*.pt"))
+    if not files:
+        raise SystemExit(f"expected collected rows in {folder}; run the step `collect` first")
+    for file in files:
         yield from torch.load(file, weights_only=False)
 
 

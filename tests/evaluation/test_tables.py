@@ -168,6 +168,22 @@ def test_runs_on_the_same_pairs_may_differ_in_what_they_tell(tmp_path: Path) -> 
     assert told == {"before": None, "ours": 45.0, "icp": None}
 
 
+def frozen_run(folder: Path, method: str, **frozen: str) -> Path:
+    part = set_part({method: summary()})
+    part["description"] |= {"frozen": frozen} if frozen else {}
+    return write_run(folder, {"frozen/pairs": part})
+
+
+def test_copies_of_a_frozen_file_are_the_same_pairs(tmp_path: Path) -> None:
+    first = frozen_run(tmp_path / "a", "ours", sha256="1", file="a.npz")
+    copied = frozen_run(tmp_path / "b", "icp", sha256="1", file="copy.npz")
+    (found,) = read_runs([first, copied])
+    assert set(found.methods) == {"ours", "icp"}
+    for number, other in enumerate(({"sha256": "2", "file": "a.npz"}, {})):
+        with pytest.raises(InputError, match="in: frozen"):
+            read_runs([first, frozen_run(tmp_path / f"c{number}", "icp", **other)])
+
+
 def test_the_layout_of_the_paper(tmp_path: Path) -> None:
     sets = read_runs([run(tmp_path / "a", NOISY, RESAMPLED, "mvp-rg")])
     noisy, views = paper_layout(sets)

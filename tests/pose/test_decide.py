@@ -11,6 +11,7 @@ from fullturn.geometry.cloud import Cloud
 from fullturn.pose import decide
 from fullturn.pose.decide import find_and_judge
 from fullturn.pose.search import Search, SearchConfig, find_finalists
+from fullturn.pose.verdict import finalist_probabilities
 
 T_TRUE = random_motions(1, seed=4)[0]
 SMALL = SearchConfig(
@@ -45,7 +46,8 @@ def test_doubt_has_more_poses_looked_at() -> None:
     assert judged.doubt > 0.15
     assert len(found.T_target_source) > len(once.T_target_source)
     assert len(found.features) == len(found.T_target_source)
-    assert sum(judged.probability) < 1.0
+    shares = finalist_probabilities(found.T_target_source, found.features)
+    assert sum(judged.probability) + float(shares[-1]) == pytest.approx(1.0)
 
 
 def test_a_second_look_is_what_a_wider_search_finds() -> None:

@@ -15,7 +15,6 @@ from jaxtyping import Bool, Float
 from fullturn.errors import InputError, ReadError, one_line
 from fullturn.evaluation.run import FORMAT, slug
 
-_FROZEN = "frozen"  # in the description of a set that comes from a frozen file
 _TOLD = "told_rotation_deg"  # in the description of a set
 
 
@@ -201,19 +200,8 @@ def _read_json(path: Path) -> dict[str, Any]:
 
 def _check_same_pairs(known: SetResult, part: Mapping[str, Any], folder: Path) -> None:
     """Methods stand beside one another only on the same pairs, whatever they were told of them."""
-    first, other = (
-        {**description, "count of pairs": count, _FROZEN: None}
-        for description, count in (
-            (known.description, known.count),
-            (part["description"], part["count"]),
-        )
-    )
-    # Two frozen files are the same if their arrays are, whatever they are called.
-    frozen = [
-        d[_FROZEN]["sha256"] for d in (known.description, part["description"]) if _FROZEN in d
-    ]
-    if len(set(frozen)) > 1:
-        first[_FROZEN], other[_FROZEN] = frozen
+    first = {**_identity(known.description), "count of pairs": known.count}
+    other = {**_identity(part["description"]), "count of pairs": part["count"]}
     differing = sorted(
         key for key in (first.keys() | other.keys()) - {_TOLD} if first.get(key) != other.get(key)
     )
@@ -223,3 +211,11 @@ def _check_same_pairs(known: SetResult, part: Mapping[str, Any], folder: Path) -
             f"the runs before it in: {', '.join(differing)}; evaluate the methods on one set, "
             "with the same shapes, count and seed"
         )
+
+
+def _identity(description: Mapping[str, Any]) -> dict[str, Any]:
+    """What tells sets apart: of a frozen file its arrays, whatever it is called."""
+    match description:
+        case {"frozen": {"sha256": arrays}}:
+            return {**description, "frozen": arrays}
+    return dict(description)

@@ -36,6 +36,11 @@ def far_from_the_rest(points: np.ndarray, center: np.ndarray, radius: float) -> 
     return far
 
 
+def strays(points: np.ndarray) -> np.ndarray:
+    """Which points (n, 3) are far from the rest of their cloud: bool (n,)."""
+    return far_from_the_rest(points, *center_and_radius(points))
+
+
 def _distances(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     # Taking one point off first keeps the mean exact far from the origin.
     center = points[0] + (points - points[0]).mean(axis=0)

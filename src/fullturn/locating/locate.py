@@ -16,7 +16,7 @@ from torch import Tensor
 
 from fullturn.errors import InputError, is_number, whole_number
 from fullturn.geometry import rigid
-from fullturn.geometry.extent import center_and_radius, far_from_the_rest
+from fullturn.geometry.extent import center_and_radius, strays
 from fullturn.io import LoadedCloud, load_cloud
 from fullturn.io.check import as_viewpoint
 from fullturn.locating.candidates import Candidates, candidates, grid_of
@@ -225,8 +225,7 @@ def _role(scene: Any) -> str | None:
 
 def _size_notes(points: Tensor, model: PreparedModel) -> tuple[str, ...]:
     values = points.numpy(force=True)
-    together = values[~far_from_the_rest(values, *center_and_radius(values))]
-    size = float(np.linalg.norm(np.ptp(together, axis=0)))
+    size = float(np.linalg.norm(np.ptp(values[~strays(values)], axis=0)))
     ratio = size / (model.diameter / model.radius)
     if 1.0 / _UNLIKE < ratio < _UNLIKE:
         return ()

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from fullturn.geometry.extent import center_and_radius, far_from_the_rest
+from fullturn.geometry.extent import strays
 from fullturn.io import load_cloud
 from fullturn.io.load import MESH_SUFFIXES, mesh_parts, read_raw
 
@@ -46,7 +46,7 @@ def load_model(model: Any) -> ModelSource:
     cloud = load_cloud(model, name=label)  # every check, and the points where it is no mesh
     found = _mesh_file(Path(model)) if label is None else _mesh_object(model)
     if found is None:
-        stray = far_from_the_rest(cloud.points, *center_and_radius(cloud.points))
+        stray = strays(cloud.points)
         left_out = int(stray.sum())
         notes = (
             (f"{cloud.name}: left out {left_out} point(s) far from the rest",) if left_out else ()

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fullturn.errors import InputError
-from fullturn.geometry.extent import center_and_radius, far_from_the_rest
+from fullturn.geometry.extent import strays
 from fullturn.geometry.motion import invert, move
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ def make_scene(
 ) -> Scene:
     """Thin both clouds for drawing and measure how far each drawn point is from its partner.
 
-    Points that lie ten radii and more from the rest are not drawn.
+    Stray points are not drawn: beside them, the others would be a dot.
     The thinning is random but always the same; distances go to the full other cloud.
 
     Raises:
@@ -77,7 +77,7 @@ def make_scene(
     source = check_points(source_points, "source_points")
     target = check_points(target_points, "target_points")
     trees = cKDTree(source), cKDTree(target)
-    drawn = thin(_together(source), max_points), thin(_together(target), max_points)
+    drawn = thin(source[~strays(source)], max_points), thin(target[~strays(target)], max_points)
     poses = [registration.T_target_source]
     poses += [other.T_target_source for other in registration.alternatives[:max_alternatives]]
     return Scene(
@@ -89,11 +89,6 @@ def make_scene(
         distances=tuple(partner_distance(pose, drawn, trees) for pose in poses),
         matches=pick_matches(source, target, registration, max_matches),
     )
-
-
-def _together(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The points without stray ones, beside which the others would be a dot."""
-    return points[~far_from_the_rest(points, *center_and_radius(points))]
 
 
 def check_points(points: ArrayLike, name: str) -> NDArray[np.float64]:
