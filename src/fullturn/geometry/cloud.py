@@ -15,7 +15,8 @@ from fullturn.geometry.normals import estimate_normals
 from fullturn.geometry.sampling import point_spacing
 
 _SAMPLE_LIMIT = 10_000
-_NEIGHBORS, _MOST_COPIES = 20, 5
+_NEIGHBORS = 20
+_FEW_COPIES = 0.05  # of the points: so many may have copies
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,32 +38,43 @@ class Cloud:
     @cached_property
     def spacing(self) -> float:
         """Median distance between neighboring points."""
-        return point_spacing(self.points, index=self.index)
+        all_distinct = self.distinct is self.points
+        return point_spacing(self.distinct, index=self.index if all_distinct else None)
+
+    @cached_property
+    def distinct(self) -> Float[Tensor, "d 3"]:
+        """The points, each once; all as they are where next to none of them has a copy.
+
+        Copies say nothing that one of them doesn't: neither of the surface nor of the noise.
+        """
+        if float((self._nearest[1][:, :2] == 0).all(1).double().mean()) <= _FEW_COPIES:
+            return self.points
+        _, first = np.unique(self.points.numpy(force=True), axis=0, return_index=True)
+        return self.points[torch.from_numpy(np.sort(first)).to(self.points.device)]
 
     @cached_property
     def sample(self) -> Float[Tensor, "s 3"]:
-        """At most 10,000 of the points, evenly over the rows: where noise and overlap are taken."""
-        return self.points[:: -(-len(self.points) // _SAMPLE_LIMIT)]
+        """At most 10,000 distinct points, evenly over the rows: noise and overlap are theirs."""
+        return _sample(self.distinct)
 
     @cached_property
     def around(self) -> tuple[Int[Tensor, "s k"], Float[Tensor, "s k"]]:
-        """Index and distance of the sample's 20 nearest points, themselves among them.
-
-        Where most of them are copies of one point, which show no surface, of points apart.
-        """
-        found = self.index.knn(self.sample, min(_NEIGHBORS, len(self.points)))
-        if not bool((found[1] == 0).sum(1).median() > _MOST_COPIES):
-            return found
-        _, first = np.unique(self.points.numpy(force=True), axis=0, return_index=True)
-        if len(first) < _NEIGHBORS:
-            return found
-        row = torch.from_numpy(first).to(self.points.device)
-        index, distance = knn(self.sample, self.points[row], _NEIGHBORS)
-        return row[index], distance
+        """Index among `distinct` and distance of the sample's 20 nearest, themselves among them."""
+        if self.distinct is self.points:
+            return self._nearest
+        return knn(self.sample, self.distinct, min(_NEIGHBORS, len(self.distinct)))
 
     @cached_property
     def sample_normals(self) -> Float[Tensor, "s 3"]:
         """Unit normals at the sample, of either sign, from neighbors at full resolution."""
         return estimate_normals(
-            self.points, queries=self.sample, neighbor_index=self.around[0], orientation="none"
+            self.distinct, queries=self.sample, neighbor_index=self.around[0], orientation="none"
         )
+
+    @cached_property
+    def _nearest(self) -> tuple[Int[Tensor, "s k"], Float[Tensor, "s k"]]:
+        return self.index.knn(_sample(self.points), min(_NEIGHBORS, len(self.points)))
+
+
+def _sample(points: Float[Tensor, "n 3"]) -> Float[Tensor, "s 3"]:
+    return points[:: -(-len(points) // _SAMPLE_LIMIT)]

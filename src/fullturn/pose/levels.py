@@ -77,7 +77,7 @@ def level_pair(
 
 def whole_pair(source: Cloud, target: Cloud) -> LevelPair:
     """Two clouds as they are: so few points that all of them are in the clouds' samples."""
-    spacing = max(point_spacing(_sorted(cloud.points)) for cloud in (source, target))
+    spacing = max(point_spacing(_sorted(cloud.distinct)) for cloud in (source, target))
     return LevelPair(_whole(source), _whole(target), spacing)
 
 
@@ -94,8 +94,8 @@ def make_level(points: Float[Tensor, "p 3"], support: Cloud) -> Level:
 
 def _whole(cloud: Cloud) -> Level:
     """All that the cloud knows of its points, in the order of a level."""
-    order = _order(cloud.points)
-    points, (around, distance) = cloud.points[order], cloud.around
+    order = _order(cloud.distinct)
+    points, (around, distance) = cloud.distinct[order], cloud.around
     normals = oriented(cloud.sample_normals[order], points - points.mean(0))
     area = local_area(points, distance=distance[order])
     row = torch.empty_like(order).scatter_(0, order, torch.arange(len(order)).to(order))

@@ -232,17 +232,17 @@ def coarse_and_fine(
 ) -> tuple[LevelPair, LevelPair]:
     """The level of the search and that of the verdict; one and the same for small clouds."""
     if _most_points(source, target) > config.verify_points:
-        thinned = thin_pair(source.points, target.points, limit=config.verify_points)
+        thinned = thin_pair(source.distinct, target.distinct, limit=config.verify_points)
         source, target = Cloud(thinned[0]), Cloud(thinned[1])
     fine = whole_pair(source, target)
     if _most_points(source, target) <= config.coarse_points:
         return fine, fine
-    thinned = thin_pair(source.points, target.points, limit=config.coarse_points)
+    thinned = thin_pair(source.distinct, target.distinct, limit=config.coarse_points)
     return level_pair(*thinned, support=(source, target)), fine
 
 
 def _most_points(source: Cloud, target: Cloud) -> int:
-    return max(len(source.points), len(target.points))
+    return max(len(source.distinct), len(target.distinct))
 
 
 def _measured(

@@ -7,7 +7,6 @@ import math
 from dataclasses import dataclass, fields
 from functools import cache
 
-import numpy as np
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
@@ -85,9 +84,8 @@ def limited(
 
 
 def _is_few(cloud: Cloud) -> bool:
-    """Whether there are too few different points; the first hundred nearly always tell."""
-    points = cloud.points.numpy(force=True)
-    return all(len(np.unique(some, axis=0)) < _LEAST_POINTS for some in (points[:100], points))
+    """Whether there are too few different points; a few copies may be among the distinct ones."""
+    return len(torch.unique(cloud.distinct[: 2 * _LEAST_POINTS], dim=0)) < _LEAST_POINTS
 
 
 def verdict_inputs(
