@@ -95,6 +95,8 @@ def test_other_names_are_an_error(header: str, separator: str, comments: str) ->
         "a title\n",
         "A title of five words\n",
         "// a comment, and another one\n",
+        "% a comment\n%\n% x y z\n",
+        "// a comment\n//\n//X Y Z\n",
     ],
 )
 def test_otherwise_the_first_three_columns_are_taken(above: str) -> None:
@@ -113,6 +115,10 @@ def test_otherwise_the_first_three_columns_are_taken(above: str) -> None:
         ("0,38;0,35;1\n", "line 1: .*, got 0,38;0,35;1; it has decimal commas, write"),
         ("x;y;z\n1;2;3\n1,5;2;3\n", "line 3: .*; it has decimal commas"),
         ("0,38 -0,35 1,2e-3\n", "line 1: .*; it has decimal commas"),
+        ('"0,38","-0,35","1,2"\n', "line 1: .*; it has decimal commas"),
+        ('"1","2","3"\n"1","","3"\n', 'line 2: .*, got "1","","3";'),
+        ("1,2 # 3,4\n", "line 1: .*, got 1,2 # 3,4;"),
+        ("X Y Z\n2\n3\n1 2 3\n", "line 3: .*, got 3;"),
     ],
 )
 def test_the_line_that_cannot_be_read_is_named(text: str, message: str) -> None:
@@ -137,3 +143,48 @@ def test_numbers_of_columns_above_decimals_are_a_header() -> None:
     assert "numbers the columns" in found.notes[0]
     whole = read("0,1,2\n3,4,5\n")
     np.testing.assert_array_equal(whole, [[0, 1, 2], [3, 4, 5]])
+
+
+@pytest.mark.parametrize("quote", ['"', "'"])
+@pytest.mark.parametrize("separator", [",", ", ", ";", "\t", " "])
+@pytest.mark.parametrize("header", ["", "x y z\n"])
+def test_words_may_be_quoted(header: str, separator: str, quote: str) -> None:
+    words = [quote + f"{value:.17g}" + quote for value in POINTS.ravel()]
+    text = "".join(separator.join(words[i : i + 3]) + "\n" for i in range(0, 21, 3))
+    np.testing.assert_array_equal(read(header.replace(" ", separator) + text), POINTS)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "x,y,z,color\n1,2,3,#ff00aa\n4,5,6,#00ff00\n",
+        "x,color,y,z\n1,#ff00aa,2,3\n4,#00ff00,5,6\n",
+        "x\tcolor\ty\tz\n1\t#ff00aa\t2\t3\n4\t#00ff00\t5\t6\n",
+        "label;x;y;z\npart #3;1;2;3\npart #4;4;5;6\n",
+        "part #,x,y,z\n3,1,2,3\n4,4,5,6\n",
+        "i,part #,x,y,z\n3,1,1,2,3\n4,2,4,5,6\n",
+        '"name","x","y","z"\n"a, b","1","2","3"\n"c ""#1"", d","4","5","6"\n',
+        '"name" "x" "y" "z"\n"a b" 1 2 3\n"c" 4 5 6\n',
+        '"x" "y" "z"\n"1" 1 2 3\n"2" 4 5 6\n',
+        "1,2,3 # one, two\n# 7,8,9\n4,5,6# the last\n",
+    ],
+)
+def test_other_columns_may_hold_what_else_separates_or_comments(text: str) -> None:
+    assert read(text).tolist() == [[1, 2, 3], [4, 5, 6]]
+
+
+@pytest.mark.parametrize(
+    "opening",
+    [
+        "//X Y Z\n2\n",
+        "X,Y,Z\n2\n",
+        "2\nx y z\n",
+        "# a comment\n2\n",
+        "2 # points\n",
+        "2\n\t# a comment\n",
+    ],
+)
+def test_a_header_and_a_count_may_both_come_first(opening: str) -> None:
+    assert read(f"{opening}1 2 3\n4 5 6\n").tolist() == [[1, 2, 3], [4, 5, 6]]
+    with pytest.raises(ReadError, match="announces 2 points, 1 came"):
+        read(f"{opening}1 2 3\n")

@@ -19,15 +19,21 @@ _NUMBERED = re.compile(rf"(?:{_PLACE}) ([012])")
 # "[m]" or "(mm)" after a name, but not "[x]" or "[0]".
 _BRACKETS = re.compile(r"\s*[\[({](?!\s*[xyz012]\s*[\])}])[^\])}]*[\])}]", re.IGNORECASE)
 _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d+)?")
+# A word may be quoted, and then hold what else separates.
+_WORDS: dict[str | None, re.Pattern[str]] = {
+    None: re.compile(r'((?:"[^"]*")+|\S+)'),
+    **{mark: re.compile(rf'(?:^|{mark})((?:\s*(?:"[^"]*")+)?[^{mark}]*)') for mark in ",;\t"},
+}
+_BETWEEN = "\x1f"  # ASCII's separator of units: no line of numbers holds it
 
 
 def read_text(data: bytes, name: str) -> Raw:
     """Points from lines of numbers: the columns named x, y and z, or else the first three.
 
-    Spaces, tabs, commas or semicolons separate; `#` starts a comment. The first line may be a
-    header, or the number of points that follow; a comment directly above the data that names every
-    column is a header, too. Names may have a unit and say what they are: `X [m]`, `pos_x`, `px`,
-    `Points:0`. Other columns are ignored.
+    Spaces, tabs, commas or semicolons separate, and words may be quoted; `#` starts a comment, but
+    not inside another column of a table. A header and the number of points may come first; a
+    comment directly above the data that names every column is a header, too. Names may have a unit
+    and say what they are: `X [m]`, `pos_x`, `px`, `Points:0`. Other columns are ignored.
 
     Raises:
         ReadError: binary data, a line without three numbers, fewer lines than announced, more than
@@ -41,20 +47,9 @@ def read_text(data: bytes, name: str) -> Raw:
         raise ReadError(
             f"{name}: expected UTF-8 text, found other bytes; check the file or its suffix"
         ) from error
-    first = _next(lines, 0)
-    if first is None:
-        return Raw(np.zeros((0, 3)))
-    header, announced = None, None
+    first, header, announced = _opening(lines)
     notes: tuple[str, ...] = ()
-    words = _split(_content(lines[first]), _separator(lines[first]))
-    word = next(filter(None, words), "")
-    if len(words) == 1 and word.isdecimal():
-        announced = int(word)
-        first += 1
-    elif not _is_number(word.replace(",", ".")):
-        header = lines[first]
-        first += 1
-    elif _counts_columns(words, lines, first):
+    if header is None and _counts_columns(lines, first):
         notes = (f"{name}: its first line numbers the columns and is left out",)
         first += 1
     start = _next(lines, first)
@@ -65,14 +60,13 @@ def read_text(data: bytes, name: str) -> Raw:
         header = above if above.lstrip().startswith("#") else None
     columns, separator = _columns(header, lines[start], name)
     try:
-        text = io.StringIO("\n".join(line for line in lines[start:] if not line.isspace()))
-        points = np.loadtxt(text, usecols=columns, ndmin=2, comments="#", delimiter=separator)
+        points = _numbers(lines[start:], columns, separator)
     except (ValueError, IndexError, OverflowError) as error:
         raise _line_error(lines, start, columns, separator, name, error) from error
     if announced is not None and len(points) != announced:
         raise ReadError(
-            f"{name}: its first line announces {announced} points, {len(points)} came; "
-            "the file is truncated"
+            f"{name}: it announces {announced} points, {len(points)} came; "
+            "the file is truncated or damaged"
         )
     return Raw(points, notes=notes)
 
@@ -90,24 +84,71 @@ def three_numbers(text: str) -> tuple[float, float, float] | None:
     return (x, y, z) if all(map(math.isfinite, (x, y, z))) else None
 
 
-def _counts_columns(words: list[str], lines: list[str], first: int) -> bool:
-    """Whether the words are 0, 1, 2 and so on, as pandas names columns, above decimal numbers."""
-    following = _next(lines, first + 1)
-    return (
-        words == [str(k) for k in range(max(3, len(words)))]
-        and following is not None
-        and "." in _content(lines[following])
-    )
+def _opening(lines: list[str]) -> tuple[int, str | None, int | None]:
+    """Where the data may begin, the header (the last of several comments), the number of points."""
+    first, header, announced = 0, None, None
+    while (at := _next(lines, first)) is not None:
+        words = _split(_content(lines[at]), _separator(lines[at]))
+        word = next(filter(None, words), "")
+        if announced is None and len(words) == 1 and word.isdecimal():
+            announced = int(word)
+        elif _is_number(word.replace(",", ".")) or not (
+            header is None or lines[at].lstrip().startswith(("//", "%"))
+        ):
+            break
+        else:
+            header = lines[at]
+        first = at + 1
+    return first, header, announced
+
+
+def _counts_columns(lines: list[str], first: int) -> bool:
+    """Whether a line is 0, 1, 2 and so on, as pandas names columns, above decimal numbers."""
+    at = _next(lines, first)
+    following = None if at is None else _next(lines, at + 1)
+    if at is None or following is None:
+        return False
+    words = _split(lines[at], _separator(lines[at]))
+    counted = [str(k) for k in range(max(3, len(words)))]
+    return words == counted and "." in _content(lines[following])
+
+
+def _numbers(lines: list[str], columns: list[int], separator: str | None) -> np.ndarray:
+    rows = [line for line in lines if _holds_more_than_a_comment(line)]
+    text = "\n".join(rows)
+    if any(mark in text for mark in "\"'#"):
+        text = "\n".join(_BETWEEN.join(_words(row, columns, separator)) for row in rows)
+        columns, separator = [0, 1, 2], _BETWEEN
+    stream = io.StringIO(text)
+    return np.loadtxt(stream, usecols=columns, ndmin=2, comments=None, delimiter=separator)
+
+
+def _words(row: str, columns: list[int], separator: str | None) -> list[str]:
+    """The words in these columns; a comment may follow the last of them, or stand in another."""
+    words = _split(_uncommented(row, separator), separator)
+    words[max(columns)] = words[max(columns)].split("#", 1)[0]
+    return [words[column] for column in columns]
 
 
 def _next(lines: list[str], first: int) -> int | None:
     """The index of the next line that is more than a comment."""
-    return next((i for i in range(first, len(lines)) if _content(lines[i])), None)
+    at = range(first, len(lines))
+    return next((i for i in at if _holds_more_than_a_comment(lines[i])), None)
+
+
+def _holds_more_than_a_comment(line: str) -> bool:
+    return bool(line.split("#", 1)[0].strip())
 
 
 def _content(line: str) -> str:
     """The line without comment and blanks; `//` headers (CloudCompare) lose their mark."""
-    return line.split("#", 1)[0].strip().removeprefix("//").strip()
+    mark = _separator(line) or ("\t" if "\t" in line else None)
+    return _uncommented(line, mark).strip().removeprefix("//").strip()
+
+
+def _uncommented(line: str, separator: str | None) -> str:
+    """The line without its comment, unless that may be a word of a table."""
+    return line.split("#", 1)[0] if separator is None else line
 
 
 def _separator(line: str) -> str | None:
@@ -116,7 +157,7 @@ def _separator(line: str) -> str | None:
 
 def _split(text: str, separator: str | None) -> list[str]:
     """The words without quotes; empty ones stay, but not at the end."""
-    words = [word.strip().strip("\"'").strip() for word in text.split(separator)]
+    words = [word.strip().strip("\"'").strip() for word in _WORDS[separator].findall(text)]
     while words and not words[-1]:
         words.pop()
     return words
@@ -133,23 +174,24 @@ def _is_number(word: str) -> bool:
 def _columns(header: str | None, row: str, name: str) -> tuple[list[int], str | None]:
     """Which columns of the data are x, y and z, and what separates them."""
     separator = _separator(row)
-    first_three = [0, 1, 2], separator
     if header is None:
-        return first_three
+        return [0, 1, 2], separator
     text = header.strip(" ").removeprefix("//")
     comment = text.startswith(("#", "%"))
     if comment:  # "# columns: x y z" begins with a word that is no name.
         text = re.sub(r"^[^,;\t:]*:\s+", "", text.lstrip("#%").strip(" "))
-    else:
-        text = text.split("#", 1)[0]
-    text, mark = _BRACKETS.sub("", text), _separator(text)
-    if mark is None and text.count("\t") == row.split("#", 1)[0].count("\t") > 0:
-        mark = separator = "\t"  # both lines have as many: one alone separates
-    names, count = _split(text, mark), len(_split(row.split("#", 1)[0], separator))
+    text = _BRACKETS.sub("", text)
+    # What both lines have as many of separates, though it comes after a "#" or among blanks.
+    mark = next((mark for mark in ";,\t" if text.count(mark) == row.count(mark) > 0), None)
+    mark, separator = (mark, mark) if mark else (_separator(text), separator)
+    names = [name.split("#", 1)[0] for name in _split(_uncommented(text, mark), mark)]
+    count = len(_split(_uncommented(row, separator), separator))
     columns = _axes(names)
     if comment and len(names) != count:
-        return first_three
+        return [0, 1, 2], separator
     if columns is not None:
+        if len(names) == count - 1 and re.fullmatch(r'"[^"]*"[^"]+', row):
+            columns = [column + 1 for column in columns]  # R writes names of rows without a header
         return columns, separator
     # Words in a comment may be a sentence, and so may another number of them in the first line.
     if len(names) == count > 3 and (mark is not None or not comment):
@@ -189,15 +231,11 @@ def _line_error(
         expected += " in the columns {}, {} and {}".format(*(column + 1 for column in columns))
     expected += ", separated by spaces, tabs, commas or semicolons"
     for number, line in enumerate(lines[start:], start=start + 1):
-        text = line.split("#", 1)[0]
-        words = text.split(separator)
-        if not text.strip() or (
-            len(words) > max(columns)
-            and all(_is_number(words[i]) and "_" not in words[i] for i in columns)
-        ):
+        text = _uncommented(line, separator)
+        if not _holds_more_than_a_comment(line) or _holds_numbers(line, columns, separator):
             continue
         came = f"{name}, line {number}: {expected}, got {one_line(text)[:80]}"
-        parts = re.split(r"[;\s]+", text.strip(" ;\t"))
+        parts = re.split(r'",\s*"|[;\s"]+', text.strip(' ;\t"'))
         commas = [_DECIMAL_COMMA.fullmatch(part) for part in parts]
         if any(commas) and all(
             comma or _is_number(part) for comma, part in zip(commas, parts, strict=True)
@@ -205,3 +243,11 @@ def _line_error(
             return ReadError(f"{came}; it has decimal commas, write decimal points: 0.5, not 0,5")
         return ReadError(f"{came}; correct that line")
     return ReadError(f"{name}: {expected}: {one_line(error)[:200]}; correct that line")
+
+
+def _holds_numbers(row: str, columns: list[int], separator: str | None) -> bool:
+    try:
+        words = _words(row, columns, separator)
+    except IndexError:
+        return False
+    return all(_is_number(word) and "_" not in word for word in words)
