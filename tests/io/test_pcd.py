@@ -139,3 +139,8 @@ def test_a_viewpoint_that_is_not_the_origin_is_noted(place: str, noted: bool) ->
         f"VIEWPOINT {place} 1 0 0 0\nPOINTS 1\nDATA ascii\n1 2 3\n"
     )
     assert bool(read_pcd(header.encode(), "x").notes) == noted
+
+
+def test_columns_is_the_old_name_of_fields(points: np.ndarray) -> None:
+    data = pcd(points, "binary").replace(b"FIELDS", b"COLUMNS")
+    np.testing.assert_array_equal(read_pcd(data, "a.pcd").points, points)

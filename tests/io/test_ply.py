@@ -120,3 +120,21 @@ def test_a_list_of_no_length_is_damage(count: float, good: int) -> None:
     rows = struct.pack("<f3i", 3.0, 0, 1, 2) * good + struct.pack("<f3i", count, 0, 1, 2)
     with pytest.raises(ReadError, match="truncated or damaged"):
         read_ply(head + rows + struct.pack("<f3i", 3.0, 0, 1, 2), "a.ply")
+
+
+@pytest.mark.parametrize("end", [b"\r", b"\r\n", b" \n"])
+def test_header_lines_may_end_in_other_ways(end: bytes) -> None:
+    points = np.full((5, 3), np.frombuffer(b"\n" * 8)[0])  # data that look like an end of a line
+    head, body = ply_bytes(points).split(b"end_header\n")
+    data = (head + b"end_header\n").replace(b"\n", end) + body
+    np.testing.assert_array_equal(read_ply(data, "a.ply").points, points)
+    rows = b"1 2 3\n4 5 6\n"
+    text = head.replace(b"vertex 5", b"vertex 2").replace(b"binary_little_endian", b"ascii")
+    text += b"end_header\n" + rows
+    assert read_ply(text.replace(b"\n", end), "a.ply").points.tolist() == [[1, 2, 3], [4, 5, 6]]
+
+
+def test_a_comment_may_hold_any_letters(points: np.ndarray) -> None:
+    # In UTF-8, Å ends in 0x85, which is an end of a line in Unicode.
+    data = ply_bytes(points).replace(b"ply\n", "ply\ncomment by Åsa\n".encode(), 1)
+    np.testing.assert_array_equal(read_ply(data, "a.ply").points, points)

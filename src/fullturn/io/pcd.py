@@ -123,6 +123,8 @@ def _read_header(data: bytes, name: str) -> tuple[dict[str, list[str]], str, int
             encoding = words[1].lower()
             if encoding in ("ascii", "binary", "binary_compressed"):
                 return header, encoding, at
+        if key == "COLUMNS":  # the older name
+            key = "FIELDS"
         if key not in _KEYS:
             raise ReadError(
                 f"{name}: expected a PCD header line, found {one_line(repr(line[:20]))}; "

@@ -89,20 +89,22 @@ def ply_bytes(points: np.ndarray) -> bytes:
 
 
 def _read_header(data: bytes, name: str) -> tuple[str, list[_Element], int]:
-    if data[:3] != b"ply" or data[3:4] not in (b"\n", b"\r"):
+    first = re.match(rb"ply[ \t]*(\r?\n|\r)", data)
+    if first is None:
         raise ReadError(
             f"{name}: expected a PLY file (first line 'ply'), it begins with "
             f"{one_line(data[:12])}; check the file or its suffix"
         )
-    # At the start of a line: comments may hold the word, too.
-    last = re.search(rb"(?m)^end_header[ \t]*\r?\n", data)
+    # Where \r alone ends lines, a \n after it is data. Comments may hold the word, too.
+    end = rb"\r" if first[1] == b"\r" else rb"\r?\n"
+    last = re.search(rb"[\r\n]end_header[ \t]*" + end, data)
     if last is None:
         raise ReadError(f"{name}: the PLY header has no 'end_header'; the file is truncated")
     order: str | None = None
     elements: list[_Element] = []
     try:
-        for line in data[: last.start()].decode("latin-1").splitlines()[1:]:
-            words = line.split()
+        for line in data[: last.start()].splitlines()[1:]:  # letters may hold Unicode's line ends
+            words = line.decode("latin-1").split()
             if not words or words[0] in ("comment", "obj_info"):
                 continue
             if words[0] == "format":
@@ -115,7 +117,7 @@ def _read_header(data: bytes, name: str) -> tuple[str, list[_Element], int]:
             elif words[0] == "property":
                 elements[-1].properties.append(_Property(words[2], _TYPES[words[1]]))
             else:
-                raise ValueError(line)
+                raise ValueError(words[0])
     except (ValueError, IndexError, KeyError) as error:
         raise ReadError(
             f"{name}: cannot understand the PLY header line {one_line(repr(line))}; "
