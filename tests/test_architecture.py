@@ -21,7 +21,7 @@ FOUNDATION = {"__init__", "errors", "result"}
 # The front door is more than one file.
 PART_OF = dict.fromkeys(["batch", "normalize", "progress", "threads", "workers"], "api")
 # Rooms of which more is asked: all that they may import beside themselves and the foundation.
-ONLY = {"io": set[str](), "viz": {"geometry", "io"}, "data": {"geometry", "io"}}
+ONLY = {"io": {"geometry"}, "viz": {"geometry", "io"}, "data": {"geometry", "io"}}
 
 # Where a tensor is moved to the CPU on purpose, and why.
 MAY_MOVE = {"io/load.py": "arrays come out of load_cloud, whatever device a tensor was on"}

@@ -12,7 +12,7 @@ from fullturn.geometry.extent import center_and_radius, far_from_the_rest
 from fullturn.geometry.motion import skew
 
 _UNLIKE = 10.0
-_FARTHEST_EYE = 1e6
+_FARTHEST = 1e6  # lengths: beyond, nothing changes any more but the rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,13 +89,11 @@ def _cloud(
     points: np.ndarray, viewpoint: np.ndarray | None, center: np.ndarray, length: float
 ) -> Cloud:
     def seen(values: np.ndarray) -> torch.Tensor:
-        return torch.from_numpy((values - center) / length)
+        normalized = (values - center) / length
+        away = np.abs(normalized).max(axis=-1, keepdims=True)
+        return torch.from_numpy(normalized * np.minimum(1.0, _FARTHEST / np.maximum(away, 1.0)))
 
-    if viewpoint is None:
-        return Cloud(seen(points))
-    eye = seen(viewpoint)
-    # From so far away, nothing changes any more but the rounding.
-    return Cloud(seen(points), eye * min(1.0, _FARTHEST_EYE / max(float(eye.abs().max()), 1.0)))
+    return Cloud(seen(points), None if viewpoint is None else seen(viewpoint))
 
 
 def _stray_notes(

@@ -51,3 +51,16 @@ def test_coordinates_that_are_too_coarse_are_said_to_be() -> None:
     far = (PLANE + 5e6).astype("f4")
     with pytest.raises(InputError, match="save them in double precision"):
         load_cloud(far)
+
+
+@pytest.mark.parametrize("far", [1e2, 1e4, 1e6, 1e8, 1e12, 1e100])
+@pytest.mark.parametrize("first", [False, True])
+def test_stray_points_make_nothing_a_line_and_no_line_a_shape(far: float, first: bool) -> None:
+    stray = np.array([[0.3, 0.5, -0.8]]) * far
+    assert len(load_cloud(np.vstack([stray, PLANE] if first else [PLANE, stray])).points) == 201
+    with pytest.raises(InputError, match="all 200 lie on one line"):
+        load_cloud(np.vstack([LINE, LINE[:1] * 100.0 * far]))
+
+
+def test_a_stray_point_of_single_precision_is_no_coarse_cloud() -> None:
+    load_cloud(np.vstack([PLANE, [[3e38, 0.0, 0.0]]]).astype("f4"))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from fullturn.errors import InputError, one_line
+from fullturn.geometry.extent import strays
 
 # Squares, and sums of squares over millions of points, stay within float64 between these.
 _LARGEST, _SMALLEST = 1e150, 1e-140
@@ -101,7 +102,8 @@ def check_pose(points: np.ndarray, name: str, *, precision: float) -> None:
 
     Points count as collinear when the second singular value of the centered points is at most
     1e-6 of the first, or, per point, at most 4 `precision` times the largest coordinate: what
-    rounding alone makes of a line at that distance from the origin.
+    rounding alone makes of a line at that distance from the origin. Stray points, beside which
+    anything looks like a line, don't count then.
 
     Raises:
         InputError: fewer than 3 distinct points, a line, or sizes whose squares leave float64.
@@ -121,7 +123,8 @@ def check_pose(points: np.ndarray, name: str, *, precision: float) -> None:
     if largest > _LARGEST or extent < _SMALLEST:
         raise InputError(
             f"{name}: expected coordinates below {_LARGEST:g} and an extent above "
-            f"{_SMALLEST:g}, found {largest:g} and {extent:g}; rescale it"
+            f"{_SMALLEST:g}, found {largest:g} and {extent:g}; rescale it, or remove "
+            "points that are none"
         )
     # Taking one of the points off first keeps the mean exact far from the origin.
     centered = (points - points[0]) / extent
@@ -129,18 +132,23 @@ def check_pose(points: np.ndarray, name: str, *, precision: float) -> None:
     squares = np.linalg.eigvalsh(centered.T @ centered / len(points))
     first, second = np.sqrt(np.maximum(squares[[2, 1]], 0.0))
     rounding = 4.0 * precision * (largest / extent)
-    if _COLLINEAR * first < second <= rounding:
+    if second > max(_COLLINEAR * first, rounding):
+        return
+    stray = strays(points)
+    if stray.any():
+        check_pose(points[~stray], name, precision=precision)
+        return
+    if second > _COLLINEAR * first:
         raise InputError(
             f"{name}: expected points that span at least a plane, all {len(points)} lie on one "
             f"line as far as their coordinates can tell (up to {largest:.3g}, in steps of up to "
             f"{precision * largest:.2g}); save them in double precision, or subtract an offset"
         )
-    if second <= max(_COLLINEAR * first, rounding):
-        raise InputError(
-            f"{name}: expected points that span at least a plane, all {len(points)} lie on one "
-            f"line (thickness {second * extent:.2g}, length {first * extent:.2g}, rounding "
-            f"{rounding * extent:.2g}); a line leaves the pose open"
-        )
+    raise InputError(
+        f"{name}: expected points that span at least a plane, all {len(points)} lie on one "
+        f"line (thickness {second * extent:.2g}, length {first * extent:.2g}, rounding "
+        f"{rounding * extent:.2g}); a line leaves the pose open"
+    )
 
 
 def precision_of(dtype: np.dtype) -> float:
