@@ -282,3 +282,65 @@ def test_npy_of_a_negative_shape(tmp_path: Path) -> None:
     (tmp_path / "a.npy").write_bytes(data)
     with pytest.raises(ReadError, match="damaged"):
         load_cloud(tmp_path / "a.npy")
+
+
+TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\nf 1 3 4\nf 2 3 4\n"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "\ufeff" + TETRAHEDRON,
+        "\ufeff# a comment\n" + TETRAHEDRON,
+        TETRAHEDRON.replace(" ", "\t"),
+        TETRAHEDRON.replace("\n", "\r"),
+        TETRAHEDRON.replace("\n", " # a comment \\\n"),
+        TETRAHEDRON.replace("1 2 3", "1 \\\n2 3").replace("\n", "\r\n"),
+    ],
+)
+def test_obj_of_many_forms(text: str, tmp_path: Path) -> None:
+    plain, path = tmp_path / "plain.obj", tmp_path / "a.obj"
+    plain.write_text(TETRAHEDRON)
+    path.write_bytes(text.encode())
+    np.testing.assert_array_equal(load_cloud(path).points, load_cloud(plain).points)
+
+
+BINARY_STL = trimesh.creation.box().export(file_type="stl")
+STL = trimesh.creation.box().export(file_type="stl_ascii").encode()
+
+
+@pytest.mark.parametrize(
+    ("data", "same"),
+    [
+        (BINARY_STL + b"more", BINARY_STL),
+        (b"solid, one facet after the other".ljust(80) + BINARY_STL[80:], BINARY_STL),
+        (STL.upper(), STL),
+        (b"\n" + STL + b"\n" * 2000, STL),
+        (STL.replace(b"solid", b"solid" + b" of a long name" * 100, 1), STL),
+    ],
+)
+def test_stl_of_many_forms(data: bytes, same: bytes, tmp_path: Path) -> None:
+    for name, content in (("a.stl", data), ("same.stl", same)):
+        (tmp_path / name).write_bytes(content)
+    found, expected = (load_cloud(tmp_path / name).points for name in ("a.stl", "same.stl"))
+    np.testing.assert_array_equal(found, expected)
+
+
+def test_off_that_does_not_say_so_is_refused(tmp_path: Path) -> None:
+    # Read one number too far, it would be a cloud: 20 vertices and no faces.
+    (tmp_path / "a.off").write_text("40 20 0\n" + rows(" ") + "3 0 1 2\n" * 20)
+    with pytest.raises(ReadError, match="expected OFF and the numbers"):
+        load_cloud(tmp_path / "a.off")
+
+
+def test_a_glb_file_without_a_readable_mesh_says_what_to_do(tmp_path: Path) -> None:
+    path = tmp_path / "a.glb"
+    path.write_bytes(trimesh.Scene(trimesh.PointCloud(POINTS)).export(file_type="glb"))
+    with pytest.raises(ReadError, match="or a point cloud, which should be saved as PLY"):
+        load_cloud(path)
+    # Where nothing decompresses them, accessors without a buffer are zero.
+    data = trimesh.creation.box().export(file_type="glb")
+    assert data.count(b'"bufferView":1') == 1
+    path.write_bytes(data.replace(b'"bufferView":1', b'"bufferVoid":1'))
+    with pytest.raises(ReadError, match="save it without compression"):
+        load_cloud(path)

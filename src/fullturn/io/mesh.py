@@ -22,8 +22,10 @@ def read_mesh(data: bytes, suffix: str, name: str) -> Raw:
     Raises:
         ReadError: trimesh cannot read the file, or it holds no geometry.
     """
+    if suffix == ".obj":
+        data = _plain_obj(data)
     if suffix == ".stl":
-        _check_stl(data, name)
+        data = _whole_stl(data, name)
     if suffix == ".off" and (points := _off_cloud(data, name)) is not None:
         return _cloud(points, name)
     import trimesh
@@ -56,7 +58,13 @@ def read_mesh(data: bytes, suffix: str, name: str) -> Raw:
         return _cloud(_obj_vertices(data, name), name)
     if len(faces) == 0:
         raise ReadError(
-            f"{name}: expected a mesh with triangles, found none; it is truncated or damaged"
+            f"{name}: expected a mesh with triangles, found none; it is truncated or damaged, or a "
+            "point cloud, which should be saved as PLY"
+        )
+    if suffix == ".glb" and not vertices.any():
+        raise ReadError(
+            f"{name}: expected a mesh, all {len(vertices)} vertices came out as 0, as those of "
+            "compressed files do; save it without compression"
         )
     return Raw(vertices, faces)
 
@@ -103,18 +111,27 @@ def sample_surface(
     return points, int((~finite).sum())
 
 
-def _check_stl(data: bytes, name: str) -> None:
+def _plain_obj(data: bytes) -> bytes:
+    """Without what trimesh stumbles over: a mark of UTF-8, tabs, old ends of lines, comments."""
+    data = data.removeprefix(b"\xef\xbb\xbf").replace(b"\t", b" ")
+    return re.sub(rb"#[^\n]*", b"", data.replace(b"\r\n", b"\n").replace(b"\r", b"\n"))
+
+
+def _whole_stl(data: bytes, name: str) -> bytes:
+    """The file without what follows the last triangle of a binary one, checked for its length."""
     # Binary STL says its own length; trimesh returns an empty mesh where the two differ.
-    if data[:5].lower() == b"solid" and b"facet" in data[:1024]:
-        if b"endsolid" not in data[-1024:]:
+    size = 84 + 50 * int.from_bytes(data[80:84], "little")
+    text = data[:4096].lower()
+    if text.lstrip().startswith(b"solid") and b"facet" in text and len(data) != size:
+        if b"endsolid" not in data.rstrip()[-1024:].lower():
             raise ReadError(f"{name}: the STL text has no 'endsolid'; the file is truncated")
-        return
-    count = int.from_bytes(data[80:84], "little")
-    if len(data) < 84 or len(data) < 84 + 50 * count:
+        return data
+    if len(data) < max(84, size):
         raise ReadError(
-            f"{name}: expected a binary STL file of {84 + 50 * count} bytes, {len(data)} came; "
+            f"{name}: expected a binary STL file of {size} bytes, {len(data)} came; "
             "it is truncated or of another kind"
         )
+    return data[:size]
 
 
 def _cloud(points: np.ndarray, name: str) -> Raw:
@@ -129,6 +146,8 @@ def _off_cloud(data: bytes, name: str) -> np.ndarray | None:
     if glued:  # as in some files of ModelNet: "OFF642 1280 0"
         words[:1] = glued.groups()
     try:
+        if not words[0].endswith(b"OFF"):
+            raise ValueError(words[0])
         vertices, faces = int(words[1]), int(words[2])
     except (IndexError, ValueError) as error:
         raise ReadError(
