@@ -87,7 +87,8 @@ def test_trimesh_reads_what_is_written(points: np.ndarray) -> None:
         (lambda d: d[: len(d) // 2], "truncated"),
         (lambda d: d[:40], "truncated"),
         (lambda d: b"0 0 0\n1 1 1\n", "expected a PLY file"),
-        (lambda d: d.replace(b"element vertex", b"element wertex"), "element 'vertex'"),
+        (lambda d: d.replace(b"element vertex", b"element wertex"), r"found \['wertex'\]"),
+        (lambda d: d.replace(b"double z", b"double depth"), r"found \['depth', 'x', 'y'\]"),
         (lambda d: d.replace(b"property double z", b"property strange z"), "header line"),
         (lambda d: d.replace(b"property double z", b"property double y"), "twice"),
         (lambda d: d.replace(b"vertex 50", b"vertex -5"), "valid count"),
@@ -132,6 +133,11 @@ def test_header_lines_may_end_in_other_ways(end: bytes) -> None:
     text = head.replace(b"vertex 5", b"vertex 2").replace(b"binary_little_endian", b"ascii")
     text += b"end_header\n" + rows
     assert read_ply(text.replace(b"\n", end), "a.ply").points.tolist() == [[1, 2, 3], [4, 5, 6]]
+
+
+def test_properties_may_be_capitals(points: np.ndarray) -> None:
+    data = ply_bytes(points).replace(b"double x", b"double X").replace(b"double z", b"double Z")
+    np.testing.assert_array_equal(read_ply(data, "a.ply").points, points)
 
 
 def test_a_comment_may_hold_any_letters(points: np.ndarray) -> None:

@@ -67,7 +67,7 @@ def read_ply(data: bytes, name: str) -> Raw:
     if vertex is None or not {"x", "y", "z"} <= vertex.keys():
         raise ReadError(
             f"{name}: expected a PLY element 'vertex' with x, y and z, found "
-            f"{one_line(sorted(columns))}; save the file again as a point cloud"
+            f"{one_line(sorted(vertex or columns))}; save the file again as a point cloud"
         )
     points = np.column_stack([vertex[axis] for axis in "xyz"])
     if points.dtype.kind not in "fiu":
@@ -112,10 +112,10 @@ def _read_header(data: bytes, name: str) -> tuple[str, list[_Element], int]:
             elif words[0] == "element":
                 elements.append(_Element(words[1], int(words[2])))
             elif words[0] == "property" and words[1] == "list":
-                item = _Property(words[4], _TYPES[words[3]], _TYPES[words[2]])
+                item = _Property(words[4].lower(), _TYPES[words[3]], _TYPES[words[2]])
                 elements[-1].properties.append(item)
             elif words[0] == "property":
-                elements[-1].properties.append(_Property(words[2], _TYPES[words[1]]))
+                elements[-1].properties.append(_Property(words[2].lower(), _TYPES[words[1]]))
             else:
                 raise ValueError(words[0])
     except (ValueError, IndexError, KeyError) as error:

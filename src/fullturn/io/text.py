@@ -13,9 +13,10 @@ from fullturn.io.raw import Raw
 
 _PLACE = "p|pos|position|pt|pts|point|points|coord|coords|coordinate|coordinates|loc|location"
 _UNIT = "[mcdknuµ]?m|in|inch|inches|ft|feet|meters?|metres?|(?:milli|centi)met(?:er|re)s?"
-# Of a name in lower case whose other marks became spaces: "pos x", "x mm"; "points 0" (ParaView).
+# Of a name in lower case whose other marks became spaces: "pos x", "x mm"; "points 0" (ParaView),
+# "points m xyz 0" (VeloView), "0" (pandas).
 _AXIS = re.compile(rf"(?:(?:{_PLACE}) ?)?([xyz])(?: (?:{_PLACE}))?(?: (?:{_UNIT}))?")
-_NUMBERED = re.compile(rf"(?:{_PLACE}) ([012])")
+_NUMBERED = re.compile(rf"(?:(?:{_PLACE}) (?:m xyz )?)?([012])")
 # "[m]" or "(mm)" after a name, but not "[x]" or "[0]".
 _BRACKETS = re.compile(r"\s*[\[({](?!\s*[xyz012]\s*[\])}])[^\])}]*[\])}]", re.IGNORECASE)
 _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d+)?")
@@ -90,14 +91,13 @@ def _opening(lines: list[str]) -> tuple[int, str | None, int | None]:
     while (at := _next(lines, first)) is not None:
         words = _split(_content(lines[at]), _separator(lines[at]))
         word = next(filter(None, words), "")
+        names = not _is_number(word.replace(",", ".")) or words[:4] == ["", "0", "1", "2"]
         if announced is None and len(words) == 1 and word.isdecimal():
             announced = int(word)
-        elif _is_number(word.replace(",", ".")) or not (
-            header is None or lines[at].lstrip().startswith(("//", "%"))
-        ):
-            break
-        else:
+        elif names and (header is None or lines[at].lstrip().startswith(("//", "%"))):
             header = lines[at]
+        else:
+            break
         first = at + 1
     return first, header, announced
 
