@@ -338,8 +338,12 @@ def test_a_glb_file_without_a_readable_mesh_says_what_to_do(tmp_path: Path) -> N
     path.write_bytes(trimesh.Scene(trimesh.PointCloud(POINTS)).export(file_type="glb"))
     with pytest.raises(ReadError, match="or a point cloud, which should be saved as PLY"):
         load_cloud(path)
-    # Where nothing decompresses them, accessors without a buffer are zero.
     data = trimesh.creation.box().export(file_type="glb")
+    assert b'"byteOffset":0,' in data  # is said where it need not be, in as many letters
+    path.write_bytes(data.replace(b'"byteOffset":0,', b'"normalized":1,'))
+    with pytest.raises(ReadError, match="save it without quantization"):
+        load_cloud(path)
+    # Where nothing decompresses them, accessors without a buffer are zero.
     assert data.count(b'"bufferView":1') == 1
     path.write_bytes(data.replace(b'"bufferView":1', b'"bufferVoid":1'))
     with pytest.raises(ReadError, match="save it without compression"):

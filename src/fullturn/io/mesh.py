@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import logging
 import re
 import warnings
@@ -43,6 +44,7 @@ def read_mesh(data: bytes, suffix: str, name: str) -> Raw:
                 process=False,
                 skip_materials=True,
             )
+            fractions = suffix == ".glb" and _holds_fractions(data)
             vertices = np.array(loaded.vertices, dtype=np.float64).reshape(-1, 3)
             faces = np.array(loaded.faces, dtype=np.int64).reshape(-1, 3)
     # trimesh lets through whatever a damaged file provokes: KeyError, struct.error, JSON errors...
@@ -65,6 +67,11 @@ def read_mesh(data: bytes, suffix: str, name: str) -> Raw:
         raise ReadError(
             f"{name}: expected a mesh, all {len(vertices)} vertices came out as 0, as those of "
             "compressed files do; save it without compression"
+        )
+    if fractions:
+        raise ReadError(
+            f"{name}: expected coordinates as they are, found whole numbers that stand for "
+            "fractions (KHR_mesh_quantization, normalized); save it without quantization"
         )
     return Raw(vertices, faces)
 
@@ -109,6 +116,14 @@ def sample_surface(
     along = rng.random((samples, 1))
     points = corners[chosen, 0] + root * ((1.0 - along) * first[chosen] + along * second[chosen])
     return points, int((~finite).sum())
+
+
+def _holds_fractions(data: bytes) -> bool:
+    """Whether a GLB file's positions are normalized whole numbers, which trimesh doesn't divide."""
+    tree = json.loads(data[20 : 20 + int.from_bytes(data[12:16], "little")])
+    parts = [part for mesh in tree.get("meshes", ()) for part in mesh["primitives"]]
+    positions = {part["attributes"]["POSITION"] for part in parts}
+    return any(tree["accessors"][position].get("normalized") for position in positions)
 
 
 def _plain_obj(data: bytes) -> bytes:
