@@ -38,6 +38,10 @@ def call(*arguments: object) -> tuple[int, str, str]:
     return result.exit_code, result.stdout, result.stderr
 
 
+def no_work(*_: object, **__: object) -> None:
+    raise AssertionError("worked")
+
+
 def test_people_get_a_table(files: list[str]) -> None:
     code, out, err = call("register", *files)
     assert code == 0
@@ -76,14 +80,22 @@ def test_outputs_hold_the_result_exactly(files: list[str], tmp_path: Path) -> No
 def test_what_cannot_be_written_is_told_before_the_work(
     files: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def work(*_: object, **__: object) -> None:
-        raise AssertionError("worked")
-
-    monkeypatch.setattr("fullturn.api.register", work)
+    monkeypatch.setattr("fullturn.api.register", no_work)
     for option, place in (("--out", "/proc/x.txt"), ("--save", f"/tmp/{'long' * 100}.ply")):
         code, out, err = call("register", *files, option, place)
         assert (code, out) == (1, "")
         assert f"cannot write {place[:100]}" in err
+
+
+def test_a_picture_that_cannot_be_drawn_is_told_before_the_work(
+    files: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("fullturn.api.register", no_work)
+    monkeypatch.setitem(sys.modules, "matplotlib.backends.backend_agg", None)
+    outputs = ["--figure", tmp_path / "a.png", "--report", tmp_path / "a.html"]
+    code, out, err = call("register", *files, *outputs)
+    assert (code, out) == (1, "")
+    assert "fullturn[viz]" in err
 
 
 def test_report_and_figure(files: list[str], tmp_path: Path) -> None:

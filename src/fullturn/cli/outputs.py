@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
+PICTURE_SUFFIXES = (".png",)
+
 
 def check_outputs(
     *outputs: tuple[Path | None, tuple[str, ...]], inputs: Iterable[Path | None]
@@ -13,9 +15,11 @@ def check_outputs(
 
     Raises:
         WriteError: a path that can't be written, that two outputs share, or of one of the inputs.
+        DependencyError: one is a picture, and matplotlib is missing.
     """
     from fullturn.errors import WriteError, one_line
     from fullturn.io.atomic import check_output
+    from fullturn.viz.canvas import check_installed
 
     read = {path.resolve() for path in inputs if path is not None}
     seen: set[Path] = set()
@@ -34,3 +38,5 @@ def check_outputs(
                 "this one twice; choose another name"
             )
         seen.add(goal)
+        if suffixes == PICTURE_SUFFIXES:
+            check_installed()

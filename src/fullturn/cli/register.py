@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from fullturn.cli.minimum import check_minimum, exit_if_below
-from fullturn.cli.outputs import check_outputs
+from fullturn.cli.outputs import PICTURE_SUFFIXES, check_outputs
 from fullturn.cli.viewpoint import parse_viewpoint
 
 
@@ -74,7 +74,7 @@ def register(
         (out, TRANSFORM_SUFFIXES),
         (save, CLOUD_SUFFIXES),
         (report, (".html", ".htm")),
-        (figure, (".png",)),
+        (figure, PICTURE_SUFFIXES),
         inputs=(source, target),
     )
 

@@ -10,19 +10,31 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def new_figure(**options: Any) -> Figure:
-    """An empty white figure that can be saved; options as of `matplotlib.figure.Figure`.
+def check_installed() -> None:
+    """Say what is missing, before any work.
 
     Raises:
         DependencyError: matplotlib is missing (``pip install "fullturn[viz]"``).
     """
     try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
+        import matplotlib.backends.backend_agg
+        import matplotlib.figure  # noqa: F401
     except ImportError as error:
         raise DependencyError(
             'a picture needs matplotlib, which is not installed; pip install "fullturn[viz]"'
         ) from error
+
+
+def new_figure(**options: Any) -> Figure:
+    """An empty white figure that can be saved; options as of `matplotlib.figure.Figure`.
+
+    Raises:
+        DependencyError: matplotlib is missing.
+    """
+    check_installed()
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
     figure = Figure(facecolor="white", **options)
     FigureCanvasAgg(figure)
     return figure
