@@ -62,6 +62,33 @@ def test_what_a_module_imports_beside_it_counts(
     assert len(set(seen)) == 3
 
 
+def test_what_lies_beside_an_own_file_counts_and_what_is_installed_does_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    counts = ["near_mine.py", "kit_of_mine/__init__.py", "kit_of_mine/deep/tool.py",
+              "kit_of_mine/deep/gain.py", "bare_of_mine/tool.py"]  # fmt: skip
+    installed = "site-packages/far_from_mine.py"
+    for name in (*counts, installed):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text("GAIN = 1\n")
+    (tmp_path / "near_mine.py").write_bytes("# coding: latin-1\nGAIN = 'ü'\n".encode("latin-1"))
+    (tmp_path / "kit_of_mine/deep/tool.py").write_text("from .gain import GAIN\n")
+    (tmp_path / "mine.py").write_text(
+        "from near_mine import *\nimport kit_of_mine.deep.tool\nfrom bare_of_mine import tool\n"
+        "import far_from_mine\n"
+        "try:\n    from . import near_mine\nexcept ImportError:\n    pass\n"
+        + OWN.format(answer="1")
+    )
+    monkeypatch.setattr(sys, "path", [*sys.path, str(tmp_path / "site-packages")])
+    method = get(f"{tmp_path / 'mine.py'}:Own")
+    seen = [fingerprint(method)[0]]
+    for name in (*counts, installed):
+        (tmp_path / name).write_bytes((tmp_path / name).read_bytes() + b"# changed\n")
+        seen.append(fingerprint(method)[0])
+    assert len(set(seen)) == 1 + len(counts)
+    assert seen[-1] == seen[-2]
+
+
 @pytest.mark.parametrize(
     "name", ["verdict.safetensors", "evidence.safetensors", "confidence.safetensors", "api.py"]
 )

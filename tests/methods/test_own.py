@@ -73,6 +73,13 @@ def test_a_module_gives_its_class(file: Path, monkeypatch: pytest.MonkeyPatch) -
     del sys.modules["mine"]
 
 
+def test_a_file_imports_what_lies_beside_it(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    (file.parent / "beside_mine.py").write_text("value = 3\n")
+    file.write_text("import beside_mine\n" + GOOD.partition("\n")[2].partition("\n")[2])
+    assert get(f"{file}:Identity").name == "identity"
+
+
 def test_workers_find_it_too(file: Path) -> None:
     results = fullturn.register_many([(CLOUD, CLOUD)] * 2, method=f"{file}:Identity", workers=2)
     assert [type(r).__name__ for r in results] == ["Registration"] * 2

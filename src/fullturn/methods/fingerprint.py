@@ -9,6 +9,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from functools import cache
 from importlib import metadata
+from importlib.machinery import PathFinder
 from pathlib import Path
 
 import fullturn
@@ -28,12 +29,13 @@ def fingerprint(
     """A hash of a method's code and versions, and the versions of the packages that it uses.
 
     The code is the module of the class, the modules `roots` and, from there on, every module of the
-    same package and of fullturn that is imported, but for type checking, with those of fullturn's
-    weights that one of them names. What a package loads in other ways isn't seen.
+    same package, of fullturn and of what isn't installed, such as a file beside one's own, that is
+    imported, but for type checking, with those of fullturn's weights that one of them names. What a
+    package loads in other ways isn't seen.
     """
     files, packages = _closure(method, roots)
     files |= set(method.files)
-    files |= {file for name in _TELLING for file in _module_file(name)}
+    files |= {file for name in _TELLING for file, _ in _modules(name)[-1:]}
     packages |= set(method.needs)  # imported by name, when the method is made
     # By name and content: where the files lie, and in which order a set holds them, is nothing.
     lines = sorted(f"{path.name} {hashlib.sha256(path.read_bytes()).hexdigest()}" for path in files)
@@ -45,35 +47,37 @@ def fingerprint(
 def _closure(method: type[Method], roots: Sequence[str]) -> tuple[set[Path], set[str]]:
     """The files that the method's module and the roots lead to, and the packages that they use."""
     module = sys.modules[method.__module__]
-    ours = {_PACKAGE, method.__module__.partition(".")[0]}
+    home = method.__module__.partition(".")[0]
     weights = set(Path(fullturn.__file__).parent.glob("weights/*.safetensors"))
     files: set[Path] = set()
     packages: set[str] = set()
-    waiting = [Path(str(module.__file__)), *(file for root in roots for file in _module_file(root))]
+    start = (Path(str(module.__file__)), module.__package__ or "")
+    waiting = [start, *(one for root in roots for one in _modules(root)[-1:])]
     while waiting:
-        path = waiting.pop()
+        path, package = waiting.pop()
         if path in files:
             continue
         files.add(path)
-        source = path.read_text(encoding="utf-8")
-        files |= {one for one in weights if one.name in source}
-        for name in _imports(ast.parse(source), _package_of(path)):
+        if path.suffix != ".py":  # compiled
+            continue
+        source = path.read_bytes()  # as it is: a file may say how it is encoded
+        files |= {one for one in weights if one.name.encode() in source}
+        for name in _imports(ast.parse(source), package.split(".") if package else []):
             top = name.partition(".")[0]
-            if top in ours:
-                waiting += _module_file(name)
-            elif top not in sys.stdlib_module_names:
+            if top in sys.stdlib_module_names:
+                continue
+            found = _modules(name)
+            if top == _PACKAGE:
+                waiting += found[-1:]  # the packages that it stands in do nothing
+            elif top == home or (found and not _is_installed_file(found[-1][0])):
+                waiting += found
+            else:
                 packages.add(top)
     return files, packages
 
 
-def _package_of(path: Path) -> list[str]:
-    """The names from the outermost package down to that of a module."""
-    names: list[str] = []
-    for folder in path.parents:
-        if not (folder / "__init__.py").exists():
-            break
-        names.insert(0, folder.name)
-    return names
+def _is_installed_file(path: Path) -> bool:
+    return not {"site-packages", "dist-packages"}.isdisjoint(path.parts)
 
 
 def _imports(tree: ast.AST, package: Sequence[str]) -> Iterator[str]:
@@ -86,6 +90,8 @@ def _imports(tree: ast.AST, package: Sequence[str]) -> Iterator[str]:
     if isinstance(tree, ast.Import):
         yield from (alias.name for alias in tree.names)
     elif isinstance(tree, ast.ImportFrom):
+        if tree.level > len(package):
+            return  # can't be imported
         start = package[: len(package) + 1 - tree.level] if tree.level else []
         name = ".".join([*start, *filter(None, [tree.module])])
         yield name
@@ -94,14 +100,26 @@ def _imports(tree: ast.AST, package: Sequence[str]) -> Iterator[str]:
         yield from _imports(node, package)
 
 
-def _module_file(name: str) -> list[Path]:
+def _modules(name: str) -> list[tuple[Path, str]]:
+    """The files that importing a name runs, outermost first, each with the package it stands in.
+
+    The last part of the name may be something in a module. Nothing is imported.
+    """
+    found: list[tuple[Path, str]] = []
+    first, *parts = name.split(".")
     try:
-        spec = importlib.util.find_spec(name)
-    except (ImportError, ValueError):
-        return []  # not a module, but something in one
-    if spec is None or spec.origin is None or not spec.origin.endswith(".py"):
+        spec = importlib.util.find_spec(first)
+    except ValueError:  # a module without a specification, such as a script
         return []
-    return [Path(spec.origin)]
+    whole = first
+    while spec is not None:
+        if spec.has_location and (path := Path(str(spec.origin))).is_file():
+            found.append((path, spec.parent or ""))
+        if not parts or spec.submodule_search_locations is None:
+            break
+        whole = f"{whole}.{parts.pop(0)}"
+        spec = PathFinder.find_spec(whole, spec.submodule_search_locations)
+    return found
 
 
 def _owners(packages: set[str]) -> set[str]:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 def own_method(place: str) -> type[Method]:
     """The class at "file.py:Class" or "package.module:Class".
 
-    A file is run once, and again only when it has changed.
+    A file is run once, and again only when it has changed; it can import what lies beside it.
 
     Raises:
         InputError: no such file, module or class, an error while it is imported, or a class that
@@ -49,6 +49,8 @@ def _from_file(path: Path) -> ModuleType:
     spec = util.spec_from_file_location(name, path)
     if spec is None or spec.loader is None:
         raise InputError(f"method: expected a Python file, got {path}")
+    if str(path.parent) not in sys.path:
+        sys.path.append(str(path.parent))  # last, so that it hides nothing that is installed
     module = util.module_from_spec(spec)
     # Dataclasses look for the module that they stand in while it is still being run.
     sys.modules[name] = module
