@@ -73,6 +73,19 @@ def test_the_same_seed_gives_the_same_scans(run, tmp_path):
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
 
 
+def test_a_folder_may_hold_an_earlier_demo_but_no_other_files_of_its_names(run, tmp_path):
+    assert run("--out", str(tmp_path), *QUICK).exit_code == 0
+    before = (tmp_path / "source.ply").read_bytes()
+    assert run("--out", str(tmp_path), *QUICK, "--seed", "1").exit_code == 0
+    assert (tmp_path / "source.ply").read_bytes() != before
+    (tmp_path / "mine").mkdir()
+    for name in ("notes.txt", "source.ply", "report.html"):
+        (tmp_path / "mine" / name).write_text("mine")
+    with pytest.raises(WriteError, match=r"found source\.ply, report\.html, which no earlier run"):
+        run("--out", str(tmp_path / "mine"), *QUICK)
+    assert {path.read_text() for path in (tmp_path / "mine").iterdir()} == {"mine"}
+
+
 def test_an_unusable_folder_is_named(run, tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(WriteError, match="cannot make the folder"):

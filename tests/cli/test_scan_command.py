@@ -148,15 +148,20 @@ def test_an_earlier_runs_clouds_are_removed(run, cube, tmp_path, no_matplotlib):
         b'{"views": [{"name": 5}, {"name": "../view_05"}, {"name": "mine"}, {"name": "view_5"}]}',
     ],
 )
-def test_nothing_else_is_ever_removed(run, cube, tmp_path, no_matplotlib, content):
+def test_nothing_that_lies_there_is_touched(run, cube, tmp_path, no_matplotlib, content):
     out = tmp_path / "out"
     out.mkdir()
-    places = [tmp_path / "view_05.ply", *(out / f"{n}.ply" for n in ("view_05", "view_5", "mine"))]
-    for place in places:
-        place.write_text("mine")
+    (out / "view_05.ply").write_text("mine")
     (out / "poses.json").write_bytes(content)
+    with pytest.raises(WriteError, match=r"found poses\.json, which no earlier run"):
+        run(cube, "--out", out, *QUICK)
+    assert (out / "poses.json").read_bytes() == content
+    (out / "poses.json").unlink()
     assert "removed" not in run(cube, "--out", out, *QUICK).output
-    assert all(place.read_text() == "mine" for place in places)
+    assert (out / "view_05.ply").read_text() == "mine"
+    with pytest.raises(WriteError, match=r"found view_05\.ply, which no earlier run"):
+        run(cube, "--out", out, "--views", 8, "--width", 40)
+    assert (out / "view_05.ply").read_text() == "mine"
 
 
 def test_what_is_no_mesh_is_named(run, tmp_path):
@@ -197,15 +202,20 @@ def test_it_writes_over_no_mesh(run, tmp_path):
     assert mesh.read_bytes() == content
 
 
-def test_an_interrupted_scan_leaves_no_poses_of_another(run, cube, tmp_path, monkeypatch):
+def test_an_interrupted_scan_leaves_no_poses_of_another(run, cube, tmp_path, no_matplotlib):
     from fullturn.io import save
 
     out = tmp_path / "views"
-    assert run(cube, "--out", out, *QUICK).exit_code == 0
+    assert run(cube, "--out", out, "--views", 5, "--width", 40).exit_code == 0
 
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(save, "save_cloud", interrupted)
-    assert run(cube, "--out", out, *QUICK, "--seed", "1").exit_code != 0
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(save, "save_cloud", interrupted)
+        assert run(cube, "--out", out, *QUICK, "--seed", "1").exit_code != 0
     assert not (out / "poses.json").exists()
+    # The next run knows the clouds that lie there.
+    assert "view_03.ply, view_04.ply" in run(cube, "--out", out, *QUICK).output
+    names = {path.name for path in out.iterdir()}
+    assert names == {"view_00.ply", "view_01.ply", "view_02.ply", "poses.json"}

@@ -11,6 +11,9 @@ OBJECT_NAME = "dog"
 NOISE = 0.002  # standard deviation of the depth, in radii of the object
 DISTANCE = 3.0  # of the eyes from the object, on average, in radii
 LEAST_OVERLAP = 0.6  # share of each scan that the other one sees, too
+_REPORT = "report.html"
+_FILES = ("source.ply", "target.ply", "aligned.ply", "pose.txt", _REPORT, "demo.png")
+_NAMES = {"source_name": f"{OBJECT_NAME}, scan 1", "target_name": f"{OBJECT_NAME}, scan 2"}
 
 
 def demo(
@@ -23,8 +26,13 @@ def demo(
 ) -> None:
     """Make two partial scans of an object in unknown poses, register them, check the answer.
 
-    Writes source.ply, target.ply, aligned.ply, pose.txt, report.html and demo.png.
+    Writes source.ply, target.ply, aligned.ply, pose.txt, report.html and demo.png, over those of
+    another demo, but over nothing else.
     """
+    from fullturn.cli.outputs import check_folder
+
+    check_folder(out, _FILES, earlier=_FILES if _is_of_demo(out / _REPORT) else ())
+
     import numpy as np
 
     from fullturn.api import register
@@ -35,11 +43,8 @@ def demo(
     from fullturn.evaluation.metrics import mean_point_distance, rotation_error_deg
     from fullturn.geometry.motion import move
     from fullturn.io import save_cloud, write_transform
-    from fullturn.io.atomic import make_folder
     from fullturn.viz.figures import save_figure
     from fullturn.viz.report import write_report
-
-    make_folder(out)
 
     typer.echo(f"Two scans of a {OBJECT_NAME}, {points:,} points each, from two sides, any pose …")
     pair = scan_pair(
@@ -52,8 +57,7 @@ def demo(
     )
     result = register(pair.source, pair.target, method=method, seed=seed)
     T = result.T_target_source
-    names = {"source_name": f"{OBJECT_NAME}, scan 1", "target_name": f"{OBJECT_NAME}, scan 2"}
-    print_table(result, **names)
+    print_table(result, **_NAMES)
 
     angle_deg = float(rotation_error_deg(T, pair.T_target_source))
     distance = mean_point_distance(T, pair.T_target_source, pair.source)
@@ -63,10 +67,20 @@ def demo(
         f"{100 * distance / size:.3f} % of the object's size from where they belong."
     )
 
+    # First, because it says whose folder this is.
+    write_report(out / _REPORT, pair.source, pair.target, result, **_NAMES)
     save_cloud(out / "source.ply", pair.source)
     save_cloud(out / "target.ply", pair.target)
     save_cloud(out / "aligned.ply", move(T, pair.source))
     write_transform(out / "pose.txt", T)
-    write_report(out / "report.html", pair.source, pair.target, result, **names)
-    typer.echo(f"Open {out / 'report.html'} in a browser to turn the result around.")
+    typer.echo(f"Open {out / _REPORT} in a browser to turn the result around.")
     draw(out / "demo.png", lambda path: save_figure(path, pair.source, pair.target, result))
+
+
+def _is_of_demo(report: Path) -> bool:
+    """Whether a demo wrote this report; none is none of it."""
+    try:
+        text = report.read_text(encoding="utf-8")
+    except (OSError, ValueError):
+        return False
+    return all(name in text for name in _NAMES.values())

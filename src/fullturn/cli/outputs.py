@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from pathlib import Path
 
 PICTURE_SUFFIXES = (".png",)
@@ -40,3 +40,30 @@ def check_outputs(
         seen.add(goal)
         if suffixes == PICTURE_SUFFIXES:
             check_installed()
+
+
+def check_folder(
+    folder: Path,
+    names: Collection[str],
+    *,
+    earlier: Collection[str],
+    inputs: Iterable[Path | None] = (),
+) -> None:
+    """Make a folder for the files `names`, where none is in the way but an `earlier` run's.
+
+    Raises:
+        WriteError: a file of that name that isn't one of `earlier`, or as `check_outputs` says.
+    """
+    from fullturn.errors import WriteError, one_line
+    from fullturn.io.atomic import make_folder
+
+    make_folder(folder)
+    check_outputs(*((folder / name, ()) for name in names), inputs=inputs)
+    others = [name for name in names if name not in earlier and (folder / name).exists()]
+    if others:
+        more = f" and {len(others) - 3} more" if len(others) > 3 else ""
+        raise WriteError(
+            f"cannot write to {one_line(folder)}: expected a folder of its own, found "
+            f"{', '.join(others[:3])}{more}, which no earlier run of this command wrote; choose "
+            "another folder with --out"
+        )

@@ -15,6 +15,9 @@ if TYPE_CHECKING:
 
     from fullturn.data.views import RangeView
 
+_POSES, _SHEET = "poses.json", "contact_sheet.png"
+_BEGUN = "scanning.json"  # lists the clouds of a run that hasn't ended
+
 
 def scan(
     mesh: Annotated[
@@ -42,18 +45,18 @@ def scan(
     """Scan a MESH with a virtual depth camera from all around.
 
     Writes view_00.ply and so on, each in its camera's frame, poses.json with the true poses, and
-    contact_sheet.png where matplotlib is installed. Clouds that the folder's poses.json lists and
-    this run doesn't write again are removed.
+    contact_sheet.png where matplotlib is installed. Clouds that the folder's poses.json lists are
+    replaced or removed; files of these names that no earlier scan wrote are an error.
     """
     from dataclasses import asdict
 
     import numpy as np
 
-    from fullturn.cli.outputs import check_outputs
+    from fullturn.cli.outputs import check_folder
     from fullturn.cli.render import draw
     from fullturn.data.sensor import Sensor
     from fullturn.data.views import view_mesh
-    from fullturn.io.atomic import make_folder, write_atomic
+    from fullturn.io.atomic import write_atomic
     from fullturn.io.save import save_cloud
     from fullturn.progress import progress_bar
     from fullturn.viz.contact_sheet import save_contact_sheet
@@ -70,14 +73,23 @@ def scan(
         height=width,
         rng=np.random.default_rng(seed),
     )
-    make_folder(out)
-
     digits = max(2, len(str(views - 1)))
     names = [f"view_{number:0{digits}d}" for number in range(views)]
-    check_outputs(*((out / f"{name}.ply", (".ply",)) for name in names), inputs=(mesh,))
-    earlier = _names(out / "poses.json")
+    earlier = _names(out / _POSES) | _names(out / _BEGUN)
+    files = [*(f"{name}.ply" for name in names), _POSES, _BEGUN, _SHEET]
+    own = {_POSES, _BEGUN, _SHEET, *(f"{name}.ply" for name in earlier)} if earlier else set()
+    check_folder(out, files, earlier=own, inputs=(mesh,))
+    about = {
+        "mesh": mesh.name,
+        "seed": seed,
+        "distance": distance,
+        "sensor": asdict(sensor),
+        "plane": plane,
+    }
     # An interrupted run leaves clouds without poses, rather than with those of the run before.
-    (out / "poses.json").unlink(missing_ok=True)
+    begun = [{"name": name} for name in sorted(earlier.union(names))]
+    write_atomic(out / _BEGUN, _json(about, begun))
+    (out / _POSES).unlink(missing_ok=True)
     entries, depths = [], []
     with progress_bar("scanning", views) as advance:
         for name, view in zip(names, scans, strict=True):
@@ -86,15 +98,9 @@ def scan(
                 save_cloud(out / f"{name}.ply", view.points_camera)
             depths.append(view.image.depth)
             advance(1)
-    about = {
-        "mesh": mesh.name,
-        "seed": seed,
-        "distance": distance,
-        "sensor": asdict(sensor),
-        "plane": plane,
-    }
-    write_atomic(out / "poses.json", _json(about, entries))
+    write_atomic(out / _POSES, _json(about, entries))
     _remove(out, earlier - {entry["name"] for entry in entries if entry["points"]})
+    (out / _BEGUN).unlink()
 
     counts = [entry["points"] for entry in entries]
     blind = [entry["name"] for entry in entries if not entry["points"]]
@@ -102,12 +108,12 @@ def scan(
         tell(f"{len(blind)} of {views} views see nothing, no cloud is written: {', '.join(blind)}")
     typer.echo(
         f"{views - len(blind)} of {views} views have points, {min(counts):,} to {max(counts):,} "
-        f"each; clouds and poses.json: {out}"
+        f"each; clouds and {_POSES}: {out}"
     )
     focals = [entry["focal"] for entry in entries]
     labels = [f"{entry['name']}: {entry['points']:,}" for entry in entries]
     draw(
-        out / "contact_sheet.png",
+        out / _SHEET,
         lambda path: save_contact_sheet(path, depths, focals=focals, labels=labels),
     )
 
