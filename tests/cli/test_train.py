@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -62,6 +63,15 @@ def test_a_recipe_becomes_a_folder(tmp_path: Path, recipe: str) -> None:
     assert "--resume" in again.output
     longer = run(recipe, "data.batch=1", "--resume", "--out", str(out))
     assert longer.exit_code == 0, longer.output
+    # Finished weights aren't written over where nothing is left to go on from.
+    shutil.rmtree(out / "checkpoints")
+    weights = (out / "weights.safetensors").read_bytes()
+    (out / "recipe.toml").unlink()
+    for options in (["--resume"], []):
+        lost = run(recipe, "data.batch=1", *options, "--out", str(out))
+        assert lost.exit_code == 1
+        assert "found none; put them back" in lost.output
+    assert (out / "weights.safetensors").read_bytes() == weights
 
 
 def test_the_whole_recipe_can_be_shown(recipe: str) -> None:
