@@ -40,6 +40,10 @@ class Broken:
         raise RuntimeError("no points today")
 
 
+def held_signals(_: None) -> set[Any]:
+    return set(signal.pthread_sigmask(signal.SIG_BLOCK, set()))
+
+
 @pytest.mark.parametrize("workers", [1, 2])
 def test_a_failing_pair_is_its_error_and_stops_no_other(workers: int, tmp_path: Path) -> None:
     save_cloud(tmp_path / "a.ply", CLOUD)
@@ -239,6 +243,15 @@ def test_a_task_that_raises_is_one_error() -> None:
         crew.run(range(3), results.__setitem__)
     assert (results[0], results[2]) == (0, 2)
     assert str(results[1]) == "unexpected ValueError: not this one"
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="Windows")
+def test_workers_never_hear_an_interrupt() -> None:
+    found: list[Any] = []
+    with Crew(held_signals, workers=1) as crew:
+        crew.run([None], lambda number, held: found.append(held))
+    assert signal.SIGINT in found[0]
+    assert signal.SIGINT not in held_signals(None)
 
 
 def test_workers_have_one_thread_each(monkeypatch: pytest.MonkeyPatch) -> None:

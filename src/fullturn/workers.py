@@ -7,6 +7,7 @@ import os
 import signal
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from typing import Any, ParamSpec, TypeVar
 
@@ -88,9 +89,9 @@ class Crew:
                 feed(worker)
 
     def _hire(self) -> None:
-        with one_thread_each():
+        with one_thread_each(), interrupts_held():
             worker = _Worker(self._work)
-        self._crew[worker.pipe] = worker
+            self._crew[worker.pipe] = worker
 
 
 def check_workers(workers: Any) -> int:
@@ -158,7 +159,7 @@ class _Worker:
 
 
 def _serve(pipe: Connection, work: Callable[[Any], Any]) -> None:
-    # Ctrl-C reaches the whole group; the parent decides what becomes of its workers.
+    # Where `interrupts_held` can do nothing, here at least.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     answer: Any = "ready"
     while True:
@@ -194,3 +195,21 @@ def one_thread_each() -> Iterator[None]:
                 del os.environ[variable]
             else:
                 os.environ[variable] = value
+
+
+@contextmanager
+def interrupts_held() -> Iterator[None]:
+    """Ctrl-C waits until the end; processes that start here, or in threads that do, never hear it.
+
+    A terminal sends it to all of them, also to those that still load their libraries; the process
+    that started the others decides what becomes of them. Without effect on Windows.
+    """
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    resource_tracker.ensure_running()  # which would end the hold when it starts
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

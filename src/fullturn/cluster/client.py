@@ -10,7 +10,7 @@ from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
 from fullturn.errors import DependencyError, FullturnError, InputError, one_line
-from fullturn.workers import one_thread_each
+from fullturn.workers import interrupts_held, one_thread_each
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -100,15 +100,16 @@ def _local_cluster(workers: int) -> Iterator[str]:
     }
     with one_thread_each(), dask.config.set(settings):
         try:
-            cluster = LocalCluster(
-                n_workers=workers,
-                threads_per_worker=1,
-                processes=True,
-                # No dashboard; but a port is opened all the same, and 8787 may be another run's.
-                scheduler_kwargs={"dashboard": False, "dashboard_address": "127.0.0.1:0"},
-                silence_logs=logging.CRITICAL,
-                preload=["fullturn.cluster.preload"],
-            )
+            with interrupts_held():  # also what Dask's own thread starts later
+                cluster = LocalCluster(
+                    n_workers=workers,
+                    threads_per_worker=1,
+                    processes=True,
+                    # No dashboard; but a port is opened all the same: 8787 may be another run's.
+                    scheduler_kwargs={"dashboard": False, "dashboard_address": "127.0.0.1:0"},
+                    silence_logs=logging.CRITICAL,
+                    preload=["fullturn.cluster.preload"],
+                )
         except RuntimeError as error:
             raise FullturnError(
                 "worker processes cannot start: call this from under "
