@@ -98,6 +98,16 @@ def test_a_picture_that_cannot_be_drawn_is_told_before_the_work(
     assert "fullturn[viz]" in err
 
 
+def test_too_little_memory_is_one_line(files: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    def too_much(*_: object, **__: object) -> None:
+        raise MemoryError("Unable to allocate 21.8 TiB")
+
+    monkeypatch.setattr("fullturn.api.register", too_much)
+    code, out, err = call("register", *files)
+    assert (code, out, err.count("\n")) == (1, "", 1)
+    assert "Unable to allocate 21.8 TiB; ask for less" in err
+
+
 def test_report_and_figure(files: list[str], tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     report, figure = tmp_path / "a.html", tmp_path / "a.png"

@@ -28,6 +28,10 @@ def known_errors(command: Callable[..., Any]) -> Callable[..., Any]:
         except FullturnError as error:
             tell(f"error: {error}")
             raise typer.Exit(KNOWN_ERROR) from None
+        except MemoryError as error:
+            reason = str(error) or "no more could be had"
+            tell(f"error: expected enough memory, {reason}; ask for less, or for fewer workers")
+            raise typer.Exit(KNOWN_ERROR) from None
         except BrokenPipeError:
             raise
         except OSError as error:  # files are named by the code that reads or writes them

@@ -56,10 +56,18 @@ def study_robustness(
 
     Shape i draws from (seed, i) alone. `on_shape` is told how many are done, and the name of the
     last one.
+
+    Raises:
+        InputError: no shapes asked for, more neighbors than points, or a shape that is one point.
     """
     if count < 1:
         raise InputError(f"count must be at least 1, got {count}")
     config = config or StudyConfig()
+    if config.neighbors > config.points:
+        raise InputError(
+            f"neighbors: expected at most the {config.points} points of a shape, got "
+            f"{config.neighbors}; ask for fewer"
+        )
     chosen = np.unique(np.linspace(0, len(shapes) - 1, min(count, len(shapes))).round().astype(int))
     found: defaultdict[tuple[str, str], list[list[float]]] = defaultdict(list)
     for number, index in enumerate(chosen.tolist(), start=1):
