@@ -22,6 +22,21 @@ def square(half: float, height: float) -> trimesh.Trimesh:
     return trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], process=False)
 
 
+def uneven_ground(half: float, height: float) -> trimesh.Trimesh:
+    """No plane of it is large; up to `height`, and 0.3 below."""
+    side = np.linspace(-half, half, 25)
+    x, y = (values.ravel() for values in np.meshgrid(side, side, indexing="ij"))
+    z = height - 0.15 + 0.15 * np.sin(2.3 * x + 0.4) * np.cos(1.9 * y)
+    corner = np.arange(625).reshape(25, 25)
+    a, b, c, d = (
+        corner[rows, columns].ravel()
+        for rows in (slice(-1), slice(1, None))
+        for columns in (slice(-1), slice(1, None))
+    )
+    faces = np.vstack([np.column_stack([a, b, d]), np.column_stack([a, d, c])])
+    return trimesh.Trimesh(np.column_stack([x, y, z]), faces, process=False)
+
+
 def scan(
     meshes: list[trimesh.Trimesh],
     eye: tuple[float, float, float],

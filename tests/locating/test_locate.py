@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
-from locate_scenes_of import model, moved, scan, square
+from locate_scenes_of import model, moved, scan, square, uneven_ground
 from scipy.spatial.transform import Rotation
 
 import fullturn
@@ -57,6 +57,16 @@ def test_beside_another_object(dog_model: PreparedModel) -> None:
     )
     found = fullturn.locate(dog_model, points, scene_viewpoint=viewpoint)
     assert error(found.T_scene_model, T_true, dog_model) < 0.02
+
+
+def test_on_ground_that_hangs_together_with_it(dog_model: PreparedModel) -> None:
+    ground = uneven_ground(4.0, float(model().vertices[:, 2].min()) + 0.05)
+    points, viewpoint, T_true = scan(
+        [model(), ground], (4.0, 0.5, 4.5), np.random.default_rng(4), pixels=120, reach=3.8
+    )
+    found = fullturn.locate(dog_model, points, scene_viewpoint=viewpoint)
+    assert error(found.T_scene_model, T_true, dog_model) < 0.02
+    assert found.surface_probability > 0.5
 
 
 def test_two_instances(dog_model: PreparedModel) -> None:

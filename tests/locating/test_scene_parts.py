@@ -69,6 +69,37 @@ def test_parts_are_pieces_and_what_is_near_them() -> None:
     assert regions(whole, torch.zeros_like(every), **told) == []  # type: ignore[arg-type]
 
 
+def uneven_ground(rng: np.random.Generator) -> torch.Tensor:
+    """A surface of 8 × 8 that hangs together and is no plane."""
+    x, y = rng.uniform(-4, 4, (2, 20_000))
+    return torch.from_numpy(np.column_stack([x, y, 0.3 * np.sin(2 * x) * np.cos(2 * y)]))
+
+
+def test_what_is_far_larger_than_the_model_comes_in_balls_that_hold_it() -> None:
+    ground = uneven_ground(np.random.default_rng(0))
+    every = torch.ones(len(ground), dtype=torch.bool)
+    found = regions(ground, every, diameter=2.0, spacing=0.06, limit=1000)
+    assert 20 < len(found) < 120
+    assert all(extent(ground[part]) < 3.01 for part in found)
+    for place in ground[::400]:
+        near = (ground - place).norm(dim=1) < 0.5
+        assert any(bool(part[near].all()) for part in found)
+    assert len(regions(ground, every, diameter=6.0, spacing=0.06, limit=1000)) == 1
+
+
+def test_far_from_a_found_model_parts_stay_as_they_were() -> None:
+    ground = uneven_ground(np.random.default_rng(0))
+    taken = (ground - ground[7]).norm(dim=1) < 1.0
+    before, after = (
+        regions(ground, free, diameter=2.0, spacing=0.06, limit=1000)
+        for free in (torch.ones_like(taken), ~taken)
+    )
+    stayed = {part.numpy().tobytes() for part in after}
+    far = [part for part in before if not bool((part & taken).any())]
+    assert len(far) > 10
+    assert all(part.numpy().tobytes() in stayed for part in far)
+
+
 def test_the_extent_is_about_the_diameter() -> None:
     points = torch.from_numpy(np.random.default_rng(0).normal(size=(200, 3)))
     brute = float(torch.cdist(points, points).amax())

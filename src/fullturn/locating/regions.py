@@ -13,6 +13,9 @@ from fullturn.locating.planes import LINK, extent, pieces
 _FEWEST = 20  # points of a region
 _GAP = 0.25  # of the diameter: the widest gap that a sensor leaves between pieces of one object
 _WHOLE = 1.3  # of the diameter: what reaches no farther may be the model alone
+# What reaches farther than this, in diameters, is looked at through balls of this radius. No point
+# is farther than the step from the middle of one, so that some ball holds the model nearly whole.
+_WIDE, _BALL, _STEP = 2.0, 0.75, 0.5
 
 
 def regions(
@@ -26,7 +29,8 @@ def regions(
     """At most `limit` sets of candidate points, the largest first.
 
     All candidates, where they reach no farther than the model might. Else pieces that hang
-    together, and with each the pieces near it as long as all of them reach no farther.
+    together, and with each the pieces near it as long as all of them reach no farther. What hangs
+    together and is far larger than the model comes in overlapping balls.
     """
     index = torch.nonzero(candidates)[:, 0]
     if len(index) < _FEWEST:
@@ -43,6 +47,10 @@ def regions(
     groups = [everything]
     if extent(torch.from_numpy(at[everything])) > _WHOLE * diameter:
         groups = _joined(at, rows, diameter)
+    if any(extent(torch.from_numpy(at[group])) > _WIDE * diameter for group in groups):
+        # Spread over all points, taken or not: what is far from a taken one stays as it was.
+        middles = _spread(points.numpy(force=True), _STEP * diameter)
+        groups = [ball for group in groups for ball in _balls(at, group, middles, diameter)]
     groups = sorted((g for g in groups if len(g) >= _FEWEST), key=len, reverse=True)[:limit]
     found = []
     for group in groups:
@@ -50,6 +58,26 @@ def regions(
         mask[index[torch.from_numpy(group)]] = True
         found.append(mask)
     return found
+
+
+def _balls(
+    points: np.ndarray, group: np.ndarray, middles: np.ndarray, diameter: float
+) -> list[np.ndarray]:
+    """The group, where it isn't wide; else its points around each of the middles (m, 3)."""
+    if extent(torch.from_numpy(points[group])) <= _WIDE * diameter:
+        return [group]
+    inside = cKDTree(points[group]).query_ball_point(middles, _BALL * diameter, return_sorted=True)
+    return [group[rows] for rows in inside if rows]
+
+
+def _spread(points: np.ndarray, step: float) -> np.ndarray:
+    """Points (m, 3), each the farthest from those before it, until none is farther than `step`."""
+    found = [points[0]]
+    distance = np.linalg.norm(points - points[0], axis=1)
+    while distance.max() > step:
+        found.append(points[distance.argmax()])
+        distance = np.minimum(distance, np.linalg.norm(points - found[-1], axis=1))
+    return np.stack(found)
 
 
 def _joined(points: np.ndarray, parts: list[np.ndarray], diameter: float) -> list[np.ndarray]:

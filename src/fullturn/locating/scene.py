@@ -15,6 +15,7 @@ from fullturn.locating.planes import Plane, large_planes
 from fullturn.locating.regions import regions
 
 _MOST_POINTS = 60_000  # of a scene, evenly spread; a larger one is thinned further
+_FLAT_PARTS = 6  # that are looked at where nothing is left but large planes
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,11 +59,8 @@ def free_parts(
 ) -> list[Bool[Tensor, " n"]]:
     """Where the model may be, among the points that nothing explains yet."""
     find = partial(
-        regions,
-        scene.points,
-        diameter=model.diameter / model.radius,
-        spacing=scene.spacing,
-        limit=limit,
+        regions, scene.points, diameter=model.diameter / model.radius, spacing=scene.spacing
     )
     # Flat on the plane, the model may be nothing but a part of it.
-    return find(free & scene.off_planes) or find(free)
+    off_planes = find(free & scene.off_planes, limit=limit)
+    return off_planes or find(free, limit=min(limit, _FLAT_PARTS))

@@ -25,7 +25,7 @@ from fullturn.pose.search import FIRST_SCALES
 class LocateConfig:
     """How wide the search is. Lengths are in point spacings of the level they are used at."""
 
-    parts: int = 6  # of a scene, in which the model is looked for
+    parts: int = 32  # of a scene, in which the model is looked for
     sure: float = 0.95  # probability of the surface from which no other part is looked at
     views: int = 8  # of the model, those most alike
     matches_per_view: int = 150
