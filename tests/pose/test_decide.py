@@ -8,6 +8,7 @@ from pose_shapes import pose_error, random_motions, teapot
 
 from fullturn.geometry import rigid
 from fullturn.geometry.cloud import Cloud
+from fullturn.nn.surface import load_surface_net
 from fullturn.pose import decide
 from fullturn.pose.decide import find_and_judge
 from fullturn.pose.search import Search, SearchConfig, find_finalists
@@ -68,3 +69,12 @@ def test_the_hypotheses_are_made_once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(decide, "Search", Counted)
     find_and_judge(*unrelated(), config=SMALL)
     assert len(made) == 1
+
+
+def test_a_network_that_a_registration_loaded_can_still_be_trained() -> None:
+    load_surface_net.cache_clear()
+    find_and_judge(*easy(), config=SMALL)
+    network = load_surface_net()
+    assert network is not None
+    sum(parameter.square().sum() for parameter in network.parameters()).backward()
+    assert all(parameter.grad is not None for parameter in network.parameters())

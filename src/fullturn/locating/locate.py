@@ -45,6 +45,7 @@ _TAKEN = 2.5
 
 
 @torch_threads(1)
+@torch.inference_mode()
 def locate(
     model: Any,
     scene: Any,

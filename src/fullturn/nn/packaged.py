@@ -43,6 +43,7 @@ def load_packaged(file: str, build: Callable[[dict[str, Any]], _Network]) -> _Ne
         ) from error
 
 
+@torch.inference_mode(False)  # whoever asks first: it stays fit for training
 def read_network(path: Path, key: str, build: Callable[[dict[str, Any]], _Network]) -> _Network:
     """The network that `build` makes of the JSON under `key` of the metadata, for evaluation.
 

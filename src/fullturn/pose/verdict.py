@@ -242,6 +242,7 @@ def merge_same(
 
 
 @cache
+@torch.inference_mode(False)
 def load_weights(
     file: str = "verdict.safetensors", features: tuple[str, ...] = FEATURES
 ) -> VerdictWeights:
