@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import subprocess
@@ -220,7 +221,16 @@ def test_a_scheduler_that_cannot_be_reached(
 
 
 @pytest.mark.parametrize(
-    "options", [{"part_size": 0}, {"workers": 0}, {"seed": -1}, {"method": "x"}]
+    "options",
+    [
+        {"part_size": 0},
+        {"workers": 0},
+        {"seed": -1},
+        {"method": "x"},
+        {"patience_seconds": "1"},
+        {"patience_seconds": 0},
+        {"patience_seconds": math.nan},
+    ],
 )
 def test_wrong_options(options: dict[str, Any], tmp_path: Path) -> None:
     pairs = write_pairs(tmp_path, 1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -109,6 +110,12 @@ def test_a_largest_rotation_needs_a_method_that_takes_one(tmp_path: Path) -> Non
     path = table(tmp_path, HEAD + "1,a,b,,45\n")
     with pytest.raises(InputError, match=r"line 2, column max_rotation_deg: .*got icp-point"):
         read_pairs(path, method=get("icp-point"))
+
+
+@pytest.mark.parametrize("pairs", [None, [("a", "b")], 5])
+def test_what_is_no_path(pairs: Any) -> None:
+    with pytest.raises(InputError, match=r"pairs: expected the path of a CSV table, got a \w+;"):
+        read_pairs(pairs, method=Consensus)
 
 
 @pytest.mark.parametrize("name", ["none.csv", ".", "a\0b"])

@@ -66,9 +66,14 @@ def read_pairs(path: str | os.PathLike[str], *, method: type[Method]) -> PairTab
 
     Raises:
         ReadError: no such file, or no CSV.
-        InputError: a column that is missing, a cell that can't be used, an id twice, no pair. The
-            message names line and column.
+        InputError: no path; a column that is missing, a cell that can't be used, an id twice, no
+            pair. The message names line and column.
     """
+    if not isinstance(path, (str, os.PathLike)):
+        raise InputError(
+            f"pairs: expected the path of a CSV table, got a {type(path).__name__}; write the "
+            "pairs to a file, or use register_many"
+        )
     place = Path(path)
     try:
         content = place.read_bytes()

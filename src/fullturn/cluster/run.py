@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import time
 from collections.abc import Callable
@@ -13,7 +14,7 @@ from fullturn.cluster.flight import Flight
 from fullturn.cluster.pairs import read_pairs
 from fullturn.cluster.store import Store, Tally
 from fullturn.cluster.work import make_job
-from fullturn.errors import whole_number
+from fullturn.errors import InputError, is_number, whole_number
 from fullturn.methods.registry import get
 from fullturn.progress import progress_bar
 from fullturn.workers import check_workers
@@ -66,6 +67,10 @@ def run_batch(
     check_installed()
     seed, most = whole_number(seed, "seed", least=0), check_workers(workers)
     part_size = whole_number(part_size, "part_size", least=1)
+    if not is_number(patience_seconds) or not 0.0 < patience_seconds < math.inf:
+        raise InputError(
+            f"patience_seconds: expected a finite number above 0, got {patience_seconds!r:.80}"
+        )
     method = _from_anywhere(method)
     table = read_pairs(pairs, method=get(method))
     for name in filter(None, table.unused):
