@@ -37,6 +37,14 @@ def test_float32_poses_pass_and_become_float64() -> None:
     assert checked.seconds == {"a": 1.0}
 
 
+def test_an_answer_of_a_network_leaves_its_gradients_behind() -> None:
+    given = Estimate(EYE[None].clone().requires_grad_(), torch.tensor([0.5], requires_grad=True))
+    checked = checked_estimate(given, "mine")
+    assert checked.success_probability is not None
+    assert not checked.T_target_source.requires_grad
+    assert not checked.success_probability.requires_grad
+
+
 @pytest.mark.parametrize(
     ("estimate", "message"),
     [
@@ -56,6 +64,7 @@ def test_float32_poses_pass_and_become_float64() -> None:
         (Estimate(EYE[None], torch.tensor([-0.1])), "from 0 that sum to at most 1, got -0.1"),
         (Estimate(EYE[None], torch.tensor([1.1])), "sum to at most 1, got 1.1"),
         (Estimate(EYE[None], torch.tensor([np.nan])), "sum to at most 1, got nan"),
+        (Estimate(EYE.repeat(2, 1, 1), torch.tensor([0.25, 0.5])), "first, .* of 0.25 0.5; sort"),
     ],
 )
 def test_what_is_no_answer_is_named(estimate: Any, message: str, unchecked: None) -> None:

@@ -68,7 +68,7 @@ def check_max_rotation(max_rotation_deg: Any, method: type[Method]) -> float | N
 
 
 def checked_estimate(estimate: Any, name: str) -> Estimate:
-    """The estimate in float64, if its poses are rigid and its probabilities are some.
+    """The estimate in float64, if its poses are rigid and its probabilities are some, best first.
 
     Raises:
         InputError: the method called `name` returned something else.
@@ -83,7 +83,7 @@ def checked_estimate(estimate: Any, name: str) -> Estimate:
             f"method {name}: expected T_target_source to be a tensor of shape (k, 4, 4) with k of "
             f"at least 1, got {_told(T)}"
         )
-    T = T.double()
+    T = T.detach().double()
     R = T[:, :3, :3]
     apart = (R.mT @ R - torch.eye(3).to(R)).abs().max()
     bottom = T[:, 3] == T.new_tensor([0.0, 0.0, 0.0, 1.0])
@@ -109,11 +109,16 @@ def _probabilities(stated: Any, count: int, name: str) -> Tensor | None:
             f"method {name}: expected one success_probability for each of the {count} poses, or "
             f"None, got {_told(stated)}"
         )
-    stated = stated.double()
+    stated = stated.detach().double()
     if not (bool((stated >= 0.0).all()) and float(stated.sum()) <= 1.0 + 1e-6):
         raise InputError(
             f"method {name}: expected probabilities from 0 that sum to at most 1, got "
             f"{_numbers(stated)}"
+        )
+    if bool((stated.diff() > 0.0).any()):
+        raise InputError(
+            f"method {name}: expected the most probable pose first, got probabilities of "
+            f"{_numbers(stated)}; sort both"
         )
     return stated
 
