@@ -6,11 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
 from fullturn.errors import InputError
 from fullturn.geometry.motion import move
+from fullturn.io import load_cloud
 from fullturn.viz import scene as module
 from fullturn.viz.scene import angle_axis, choose, make_scene, viewing_axes
 
@@ -71,7 +73,17 @@ def test_matches_join_the_points_they_name(make_pair):
 
 
 @pytest.mark.parametrize(
-    "points", [np.zeros((0, 3)), np.zeros((5, 2)), np.zeros(3), np.full((4, 3), np.nan)]
+    "points",
+    [
+        np.zeros((0, 3)),
+        np.zeros((5, 2)),
+        np.zeros(3),
+        np.full((4, 3), np.nan),
+        [[0.0, 1.0], [2.0]],
+        "scan.ply",
+        load_cloud(np.eye(3)),
+        torch.eye(3, requires_grad=True),
+    ],
 )
 def test_unusable_points_are_named(make_pair, points):
     _, target, result = make_pair()

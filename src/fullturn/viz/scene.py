@@ -10,6 +10,7 @@ import numpy as np
 from fullturn.errors import InputError
 from fullturn.geometry.extent import strays
 from fullturn.geometry.motion import invert, move
+from fullturn.io.check import check_shape
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -93,12 +94,7 @@ def make_scene(
 
 def check_points(points: ArrayLike, name: str) -> NDArray[np.float64]:
     """Return an array of finite points `(N, 3)`, at least one, or raise InputError."""
-    array = np.asarray(points, dtype=np.float64)
-    if array.ndim != 2 or array.shape[1] != 3 or len(array) == 0:
-        raise InputError(
-            f"{name}: expected an array of shape (N, 3) with N ≥ 1, got shape {array.shape}; "
-            "pass one point per row"
-        )
+    array = check_shape(points, name).astype(np.float64)
     if not np.isfinite(array).all():
         raise InputError(
             f"{name}: expected finite coordinates, got NaN or infinite ones; remove those rows"
