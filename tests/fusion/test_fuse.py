@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 from dataclasses import asdict
 from pathlib import Path
@@ -335,6 +336,19 @@ def test_the_report_shows_every_scan_and_pair(exact: Exact) -> None:
     assert "http" not in page.replace("http-equiv", "")
     data = page.split('id="scene">')[1].split("</script>")[0]
     assert len(json.loads(data)["scans"]) == 5
+
+
+def test_stray_points_are_not_drawn_in_the_report(exact: Exact) -> None:
+    clouds, _ = scans_of(shape(), 3)
+    stray = np.vstack([clouds[0], clouds[0].mean(0) + 1e6])
+    sizes = []
+    for first in (clouds[0], stray):
+        page = render_fusion_report([first, *clouds[1:]], fullturn.fuse([first, *clouds[1:]]))
+        data = json.loads(page.split('id="scene">')[1].split("</script>")[0])
+        drawn = data["scans"][1]
+        steps = np.frombuffer(base64.b64decode(drawn["int16"]), "<i2").reshape(-1, 3)
+        sizes.append(np.ptp(steps, axis=0) * drawn["step"])
+    np.testing.assert_allclose(sizes[1], sizes[0], rtol=0.01)
 
 
 def test_workers_change_nothing() -> None:

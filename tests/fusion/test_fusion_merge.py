@@ -50,3 +50,13 @@ def test_the_order_of_clouds_changes_nothing() -> None:
     one, other = (merge_clouds(c, 0.5) for c in (clouds, clouds[::-1]))
     np.testing.assert_allclose(one.points, other.points, atol=1e-12)
     np.testing.assert_array_equal(one.count, other.count)
+
+
+@pytest.mark.parametrize("far", [1e18, 1e30, 1e100])
+def test_stray_points_stay_as_they_are(far: float) -> None:
+    rng = np.random.default_rng(4)
+    near, strays = rng.normal(size=(300, 3)), far * np.array([[1.0, 0, 0], [3.0, 0, 0]])
+    merged, alone = merge_clouds([near, strays], 0.5), merge_clouds([near], 0.5)
+    order = np.argsort(np.linalg.norm(merged.points, axis=1))
+    np.testing.assert_array_equal(merged.points[order[-2:]], strays)
+    np.testing.assert_array_equal(np.delete(merged.points, order[-2:], axis=0), alone.points)

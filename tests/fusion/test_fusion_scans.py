@@ -40,7 +40,7 @@ def test_what_is_left_out_has_its_folder_where_names_repeat(tmp_path: Path) -> N
 
 
 def test_one_path_alone_is_no_list() -> None:
-    with pytest.raises(InputError, match="at least 2 scans, got a str"):
+    with pytest.raises(InputError, match="at least 2 scans, got a str; give a list"):
         check_scans("a.ply")
 
 
@@ -55,3 +55,15 @@ def test_the_same_points_in_another_order_or_precision_are_the_same(offset: floa
     if offset == 0.0:
         scans, notes = check_scans([one, mixed.astype(np.float32), other])
         assert [scan.name for scan in scans] == ["scan 1", "scan 3"]
+
+
+@pytest.mark.parametrize("far", [1e3, 1e20, 1e100])
+def test_stray_points_change_nothing_that_is_kept_of_a_scan(far: float) -> None:
+    rng = np.random.default_rng(0)
+    one, other = (rng.normal(size=(300, 3)) for _ in range(2))
+    strays = far * rng.normal(size=(2, 3))
+    (plain, _), _ = check_scans([one, other])
+    (scan, _), notes = check_scans([np.vstack([one, strays]), other])
+    np.testing.assert_allclose(scan.sample, plain.sample, atol=1e-12)
+    assert (scan.spacing, scan.radius) == pytest.approx((plain.spacing, plain.radius))
+    assert notes == []

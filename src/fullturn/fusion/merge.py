@@ -26,10 +26,10 @@ def merge_clouds(clouds: Iterable[np.ndarray], cell: float) -> MergedCloud:
     The clouds (n, 3) are taken one at a time, so no more than one of them and the merged cloud are
     in memory.
     """
-    keys = np.zeros((0, 3), dtype=np.int64)
+    keys = np.zeros((0, 3))  # not integers, which end before the coordinates of strays do
     total, count = np.zeros((0, 3)), np.zeros(0, dtype=np.int64)
     for cloud in clouds:
-        cells = np.floor(cloud / cell).astype(np.int64)
+        cells = np.floor(cloud / cell)
         keys, place = np.unique(np.concatenate([keys, cells]), axis=0, return_inverse=True)
         place = place.ravel()
         weights = np.concatenate([count, np.ones(len(cloud), dtype=np.int64)])

@@ -13,6 +13,7 @@ import numpy as np
 
 from fullturn.fusion.picture import graph_picture
 from fullturn.fusion.result import Fusion
+from fullturn.geometry.extent import strays
 from fullturn.geometry.motion import move
 from fullturn.io import load_cloud
 from fullturn.io.atomic import write_atomic
@@ -93,12 +94,16 @@ def deviation(sigma_deg: float) -> str:
 
 
 def _drawn(clouds: Sequence[Any], fusion: Fusion) -> list[np.ndarray]:
-    """Some points of each scan in the frame of its group; none of a scan that was left out."""
+    """Some points of each scan in the frame of its group; none of a scan that was left out.
+
+    Nor stray ones: beside them, the others would be a dot.
+    """
     most = max(500, _MAX_POINTS // len(fusion.names))
-    return [
-        np.zeros((0, 3)) if T is None else move(T, thin(load_cloud(cloud).points, most))
-        for cloud, T in zip(clouds, fusion.T_world_scan, strict=True)
-    ]
+    drawn = []
+    for cloud, T in zip(clouds, fusion.T_world_scan, strict=True):
+        points = np.zeros((0, 3)) if T is None else load_cloud(cloud).points
+        drawn.append(points if T is None else move(T, thin(points[~strays(points)], most)))
+    return drawn
 
 
 def _payload(

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from fullturn.errors import FullturnError, InputError, one_line
 from fullturn.geometry.cloud import Cloud
-from fullturn.geometry.extent import center_and_radius
+from fullturn.geometry.extent import center_and_radius, far_from_the_rest
 from fullturn.io import LoadedCloud, load_cloud
 from fullturn.io.check import as_viewpoint
 
@@ -50,7 +50,7 @@ class Scan(Body):
     count: int
     radius: float  # in the input's unit, as is the spacing
     spacing: float
-    sample: Float[Tensor, "s 3"]  # less the center, in the input's unit
+    sample: Float[Tensor, "s 3"]  # less the center, in the input's unit; no stray points
     sample_normals: Float[Tensor, "s 3"]
     notes: tuple[str, ...]
 
@@ -71,8 +71,8 @@ def check_scans(
     """
     is_list = isinstance(clouds, Sequence) and not isinstance(clouds, (str, bytes))
     if not is_list or len(clouds) < 2:
-        got = f"{len(clouds)}" if is_list else f"a {type(clouds).__name__}"
-        raise InputError(f"clouds: expected a list of at least 2 scans, got {got}; add scans")
+        got = f"{len(clouds)}; add scans" if is_list else f"a {type(clouds).__name__}; give a list"
+        raise InputError(f"clouds: expected a list of at least 2 scans, got {got}")
     eyes = check_viewpoints(viewpoints, len(clouds))
     names = scan_names(clouds)
     scans: list[Scan] = []
@@ -141,7 +141,8 @@ def check_viewpoints(viewpoints: Sequence[Any] | None, count: int) -> list[np.nd
 
 
 def _twin_key(points: np.ndarray, spacing: float) -> str:
-    rounded = points.astype(np.float32)
+    with np.errstate(over="ignore"):  # of strays alone
+        rounded = points.astype(np.float32)
     if np.abs(rounded - points).max() > _SAME * spacing:  # far from the origin
         rounded = points
     return hashlib.sha256(rounded[np.lexsort(rounded.T)].tobytes()).hexdigest()
@@ -153,7 +154,8 @@ def _scan(number: int, cloud: Any, eye: np.ndarray | None, name: str) -> Scan:
     loaded = load_cloud(cloud, name=role)
     points = loaded.points
     center, radius = center_and_radius(points)
-    seen = Cloud(torch.from_numpy(points - center))
+    near = points[~far_from_the_rest(points, center, radius)]
+    seen = Cloud(torch.from_numpy(near - center))
     every = -(-len(seen.sample) // _SAMPLE_POINTS)
     points_key = hashlib.sha256(points.tobytes()).hexdigest()
     return Scan(
