@@ -123,6 +123,8 @@ def test_risk_coverage_counted_by_hand() -> None:
 def test_bad_probabilities_are_named() -> None:
     with pytest.raises(InputError, match=r"in \[0, 1\]"):
         metrics.brier(np.array([1.2]), np.array([True]))
+    with pytest.raises(InputError, match=r"of at least one pair, got shapes \(0,\) and \(0,\)"):
+        metrics.brier(np.zeros(0), np.zeros(0, dtype=bool))
     with pytest.raises(InputError, match="equally long"):
         metrics.risk_coverage(np.array([0.2]), np.array([True, False]))
 

@@ -243,8 +243,8 @@ def _checked(probability: np.ndarray, success: np.ndarray) -> tuple[np.ndarray, 
     success = np.asarray(success, dtype=np.float64)
     if probability.shape != success.shape or probability.ndim != 1 or len(probability) == 0:
         raise InputError(
-            f"expected two equally long lists, got shapes {probability.shape} and {success.shape}; "
-            "pass one probability and one success per pair"
+            "expected two equally long lists of at least one pair, got shapes "
+            f"{probability.shape} and {success.shape}; pass a probability and a success per pair"
         )
     if not ((probability >= 0.0) & (probability <= 1.0)).all():
         raise InputError(
