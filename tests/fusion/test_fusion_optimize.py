@@ -13,9 +13,10 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from fullturn.errors import DependencyError
-from fullturn.fusion.joint import refine_joint
+from fullturn.fusion.joint import _partners, refine_joint
 from fullturn.fusion.optimize import _KERNEL, _LEAST_SIGMA, Link, gtsam, optimize_poses
 from fullturn.geometry import rigid
+from fullturn.geometry.neighbors import NeighborIndex
 from fullturn.geometry.normals import estimate_normals
 
 
@@ -80,14 +81,15 @@ def test_an_outlier_moves_little() -> None:
         assert shift < 0.02
 
 
-def _patches(rng: np.random.Generator) -> list[torch.Tensor]:
+def _patches(rng: np.random.Generator, count: int = 6, points: int = 2500) -> list[torch.Tensor]:
     """Overlapping caps of a bumpy ball, each its own sampling."""
     caps = []
-    for k in range(6):
+    for k in range(count):
         u = rng.normal(size=(9000, 3))
         u /= np.linalg.norm(u, axis=1, keepdims=True)
-        at = np.array([np.cos(k * np.pi / 3), np.sin(k * np.pi / 3), 0.2 * (-1) ** k])
-        u = u[u @ at > 0.2][:2500]
+        turn = 2 * np.pi * k / count
+        at = np.array([np.cos(turn), np.sin(turn), 0.2 * (-1) ** k])
+        u = u[u @ at > 0.2][:points]
         bumps = 1 + 0.15 * np.sin(4 * u[:, :1]) + 0.1 * np.cos(5 * u[:, 1:2] + 1) * u[:, 2:]
         caps.append(torch.from_numpy(u * bumps))
     return caps
@@ -117,6 +119,20 @@ def test_the_joint_refinement_closes_the_ring(offset: float) -> None:
         assert angle < 0.25
         assert np.linalg.norm(middle[:3]) < 0.01
     np.testing.assert_array_equal(refined[0].numpy(), start[0])
+
+
+def test_of_many_scans_each_is_pulled_to_those_that_it_overlaps_most() -> None:
+    rng = np.random.default_rng(4)
+    caps = _patches(rng, count=20, points=600)
+    normals = [estimate_normals(cap, k=12, orientation="none") for cap in caps]
+    start = torch.from_numpy(np.stack([jitter(np.eye(4), rng, deg=1.0, shift=0.01) for _ in caps]))
+    start[0] = torch.eye(4)
+    pairs = _partners(start, caps, [NeighborIndex(cap) for cap in caps], 0.15, [1] * 20)
+    assert [sum(i == one for i, _ in pairs) for one in range(20)] == [15] * 20
+    assert not {(0, 9), (0, 10), (0, 11)} & {*pairs}  # the far side
+    refined = refine_joint(start, caps, normals, reach=0.15, closest=0.08)
+    angle = rigid.rotation_angle_rad(refined[:, :3, :3]).rad2deg()
+    assert float(angle.max()) < 0.5
 
 
 def test_scans_that_lie_apart_stay_where_they_are() -> None:

@@ -18,6 +18,7 @@ from fullturn.pose.residuals import plane_equations
 _FIRST_POINTS, _FIRST_ROUNDS, _NEAR = 1_000, 60, 1e-3
 _ROUNDS = 30
 _LEAST_SHARE = 0.03  # of a scan's points near the other: below, two scans don't overlap
+_MOST_PARTNERS = 15  # scans that each one is pulled towards, those that it overlaps most
 # Steps are in radians and in units of the fusion.
 _LARGEST_STEP = 0.1  # small enough for the equations, which are linear in it
 _SETTLED = 1e-5  # far below what noise leaves open
@@ -39,7 +40,7 @@ def refine_joint(
 ) -> Float[Tensor, "n 4 4"]:
     """The poses at which all overlapping surfaces lie on one another best; the first one is held.
 
-    Every scan's points are pulled towards the tangent planes of every scan that they are near, and
+    Every scan's points are pulled towards the tangent planes of the scans that they are near, and
     all motions are solved for together, so that errors don't add up around the object. Points
     within `reach` count as near at first; it shrinks with the residuals down to `closest`.
     """
@@ -50,8 +51,9 @@ def refine_joint(
         (few, _FIRST_ROUNDS, _NEAR),
         ([1] * len(points), _ROUNDS, _SETTLED),
     ):
+        pairs = _partners(T, points, trees, reach, few)
         for _ in range(rounds):
-            H, g, sigma = _equations(T, points, normals, trees, reach, every)
+            H, g, sigma = _equations(T, points, normals, trees, pairs, reach, every)
             if not torch.isfinite(sigma):
                 break
             step = _step(H, g)
@@ -73,11 +75,33 @@ def _step(H: Float[Tensor, "m m"], g: Float[Tensor, " m"]) -> Float[Tensor, "n 6
     return step.view(-1, 6).clamp(-_LARGEST_STEP, _LARGEST_STEP)
 
 
+def _partners(
+    T: Float[Tensor, "n 4 4"],
+    points: Sequence[Tensor],
+    trees: Sequence[NeighborIndex],
+    reach: float,
+    every: Sequence[int],
+) -> list[tuple[int, int]]:
+    """Each scan with those that it overlaps most; with all others, where they are few."""
+    numbers = range(len(points))
+    others = [[j for j in numbers if j != i] for i in numbers]
+    if len(points) > 1 + _MOST_PARTNERS:
+        for i in numbers:
+            own = rigid.apply(T[i], points[i][:: every[i]])
+            share = torch.zeros(len(points))
+            for j in others[i]:
+                partner, _ = trees[j].nearest(rigid.apply(rigid.invert(T[j]), own), within=reach)
+                share[j] = (partner >= 0).double().mean()
+            others[i] = share.topk(_MOST_PARTNERS).indices.sort().values.tolist()
+    return [(i, j) for i in numbers for j in others[i]]
+
+
 def _equations(
     T: Float[Tensor, "n 4 4"],
     points: Sequence[Tensor],
     normals: Sequence[Tensor],
     trees: Sequence[NeighborIndex],
+    pairs: Sequence[tuple[int, int]],
     reach: float,
     every: Sequence[int],
 ) -> tuple[Float[Tensor, "m m"], Float[Tensor, " m"], Float[Tensor, ""]]:
@@ -88,11 +112,10 @@ def _equations(
     """
     count = len(points)
     found = []
-    for i in range(count):
-        for j in range(count):
-            near = None if i == j else _near(T, points, normals, trees, i, j, reach, every[i])
-            if near is not None:
-                found.append((i, j, *near))
+    for i, j in pairs:
+        near = _near(T, points, normals, trees, i, j, reach, every[i])
+        if near is not None:
+            found.append((i, j, *near))
     H, g = T.new_zeros(count, 6, count, 6), T.new_zeros(count, 6)
     if not found:
         return H.view(6 * count, -1), g.view(-1), T.new_tensor(torch.inf)

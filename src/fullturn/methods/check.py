@@ -16,6 +16,7 @@ from fullturn.methods.base import Estimate, Method
 from fullturn.methods.registry import get, names
 
 _RIGID = 1e-6  # how far RᵀR may be from I, per entry
+_ROUNDING = 1e-6  # of probabilities
 
 
 def run_method(
@@ -110,12 +111,12 @@ def _probabilities(stated: Any, count: int, name: str) -> Tensor | None:
             f"None, got {_told(stated)}"
         )
     stated = stated.detach().double()
-    if not (bool((stated >= 0.0).all()) and float(stated.sum()) <= 1.0 + 1e-6):
+    if not (bool((stated >= 0.0).all()) and float(stated.sum()) <= 1.0 + _ROUNDING):
         raise InputError(
             f"method {name}: expected probabilities from 0 that sum to at most 1, got "
             f"{_numbers(stated)}"
         )
-    if bool((stated.diff() > 0.0).any()):
+    if bool((stated.diff() > _ROUNDING).any()):
         raise InputError(
             f"method {name}: expected the most probable pose first, got probabilities of "
             f"{_numbers(stated)}; sort both"
