@@ -77,8 +77,8 @@ def normalization_of(source: np.ndarray, target: np.ndarray) -> Normalization:
     target_center, target_radius = center_and_radius(target)
     ratio = source_radius / target_radius
     notes = (
-        *_stray_notes("source", source, source_center, source_radius),
-        *_stray_notes("target", target, target_center, target_radius),
+        *stray_notes("source", source, source_center, source_radius),
+        *stray_notes("target", target, target_center, target_radius),
     )
     if not 1.0 / _UNLIKE < ratio < _UNLIKE:
         notes += (f"the source is {ratio:.3g} times as large as the target: is the unit the same?",)
@@ -96,12 +96,13 @@ def _cloud(
     return Cloud(seen(points), None if viewpoint is None else seen(viewpoint))
 
 
-def _stray_notes(
-    role: str, points: np.ndarray, center: np.ndarray, radius: float
+def stray_notes(
+    name: str, points: np.ndarray, center: np.ndarray, radius: float
 ) -> tuple[str, ...]:
+    """What a user should know of points (n, 3) that lie far from the rest of their cloud."""
     far = points[far_from_the_rest(points, center, radius)]
     if not len(far):
         return ()
     what = "1 point lies" if len(far) == 1 else f"{len(far)} points lie"
     away = np.linalg.norm(far - center, axis=1).max() / radius
-    return (f"{role}: {what} far from the rest, up to {away:.3g} radii: a stray return?",)
+    return (f"{name}: {what} far from the rest, up to {away:.3g} radii: a stray return?",)

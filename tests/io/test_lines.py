@@ -45,6 +45,15 @@ def test_damaged_lines_are_dropped_and_counted(tmp_path: Path, header: str | Non
     assert found(path, header)[0] == [{"number": 0}, {"number": 3}]
 
 
+def test_a_file_that_is_taken_away_begins_again_with_its_header(tmp_path: Path) -> None:
+    path = tmp_path / "lines"
+    _, lines = found(path, "whose lines these are")
+    path.unlink()
+    for number in range(2):
+        lines.add({"number": number})
+    assert found(path, "whose lines these are")[0] == [{"number": 0}, {"number": 1}]
+
+
 def test_what_nobody_can_use_is_damaged(tmp_path: Path) -> None:
     _, lines = found(tmp_path / "lines")
     lines.add({"other": 1})

@@ -19,6 +19,7 @@ from fullturn.geometry.cloud import Cloud
 from fullturn.geometry.extent import center_and_radius, far_from_the_rest
 from fullturn.io import LoadedCloud, load_cloud
 from fullturn.io.check import as_viewpoint
+from fullturn.normalize import stray_notes
 
 _SAME = 0.01  # of the spacing, within which single precision keeps points
 _SAMPLE_POINTS = 4_000  # per scan, for the joint refinement
@@ -171,7 +172,7 @@ def _scan(number: int, cloud: Any, eye: np.ndarray | None, name: str) -> Scan:
         spacing=seen.spacing,
         sample=seen.sample[::every].clone(),  # a view would keep all points in memory
         sample_normals=seen.sample_normals[::every].clone(),
-        notes=loaded.notes,
+        notes=(*loaded.notes, *stray_notes(name, points, center, radius)),
     )
 
 

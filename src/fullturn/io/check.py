@@ -46,9 +46,10 @@ def as_viewpoint(viewpoint: object, name: str, *, frame: str) -> np.ndarray | No
     except (ValueError, TypeError, RuntimeError) as error:
         raise InputError(f"{name}: expected three numbers, got {viewpoint!r:.80}") from error
     if place.shape != (3,) or not np.isfinite(place).all():
+        got = f"shape {place.shape}" if place.shape != (3,) else f"{place.tolist()}"
         raise InputError(
             f"{name}: expected three finite numbers, where the sensor stood in the {frame} frame; "
-            f"got shape {place.shape}"
+            f"got {got}"
         )
     return place
 

@@ -35,7 +35,7 @@ class CheckedLines:
     ) -> None:
         self.path = Path(path)
         self.damaged = 0
-        self._otherwise = otherwise
+        self._otherwise, self._header = otherwise, header
         first = [] if header is None else [header]
         try:
             content = self.path.read_bytes().decode("utf-8", "replace")
@@ -63,7 +63,7 @@ class CheckedLines:
             write_atomic(self.path, "".join(f"{line}\n" for line in kept))
 
     def add(self, content: Mapping[str, Any]) -> None:
-        """Write one more line.
+        """Write one more line; the header first where somebody has taken the file away.
 
         Raises:
             WriteError: the file, or its folder, cannot be written.
@@ -72,6 +72,8 @@ class CheckedLines:
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             with open(self.path, "a", encoding="utf-8") as stream:
+                if self._header is not None and stream.tell() == 0:
+                    stream.write(f"{self._header}\n")
                 stream.write(f"{line}\n")
         except OSError as error:
             raise self._error("write", error) from error

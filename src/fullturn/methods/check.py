@@ -54,7 +54,8 @@ def check_max_rotation(max_rotation_deg: Any, method: type[Method]) -> float | N
     """
     if max_rotation_deg is None:
         return None
-    if not is_number(max_rotation_deg) or not 0.0 < max_rotation_deg <= 180.0:
+    # The smallest floats are 0 in radians.
+    if not is_number(max_rotation_deg) or not 0.0 < math.radians(max_rotation_deg) <= math.pi:
         raise InputError(
             "max_rotation_deg: expected an angle above 0 and up to 180, or None, got "
             f"{max_rotation_deg!r:.80}"
