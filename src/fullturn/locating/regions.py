@@ -71,13 +71,13 @@ def _balls(
 
 
 def _spread(points: np.ndarray, step: float) -> np.ndarray:
-    """Points (m, 3), each the farthest from those before it, until none is farther than `step`."""
-    found = [points[0]]
-    distance = np.linalg.norm(points - points[0], axis=1)
-    while distance.max() > step:
-        found.append(points[distance.argmax()])
-        distance = np.minimum(distance, np.linalg.norm(points - found[-1], axis=1))
-    return np.stack(found)
+    """Points (m, 3) that lie farther than `step` apart, and all others within it of one."""
+    tree, covered, rows = cKDTree(points), np.zeros(len(points), dtype=bool), []
+    for row in range(len(points)):
+        if not covered[row]:
+            rows.append(row)
+            covered[tree.query_ball_point(points[row], step)] = True
+    return np.asarray(points[rows])
 
 
 def _joined(points: np.ndarray, parts: list[np.ndarray], diameter: float) -> list[np.ndarray]:
