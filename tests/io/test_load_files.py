@@ -69,6 +69,14 @@ def test_text_that_holds_no_cloud(text: str, message: str, tmp_path: Path) -> No
         load_cloud(path)
 
 
+@pytest.mark.parametrize(("zeros", "noted"), [(1, False), (2, True), (40, True)])
+def test_many_points_in_the_origin_are_noted(zeros: int, noted: bool, tmp_path: Path) -> None:
+    path = tmp_path / "organized.npy"
+    save_cloud(path, np.concatenate([POINTS, np.zeros((zeros, 3))]))
+    notes = load_cloud(path).notes
+    assert any(f"{zeros} of {40 + zeros} points lie at 0, 0, 0" in note for note in notes) is noted
+
+
 @pytest.mark.parametrize("suffix", [".ply", ".xyz", ".npy", ".csv"])
 def test_missing_returns_are_dropped_and_counted(suffix: str, tmp_path: Path) -> None:
     holed = POINTS.copy()

@@ -37,6 +37,7 @@ _CLOUD_READERS: dict[str, Callable[[bytes, str], Raw]] = {
 _MESHES_ALONE = (".obj", ".stl", ".off", ".glb")
 MESH_SUFFIXES = (".ply", *_MESHES_ALONE)
 SUFFIXES = (*_CLOUD_READERS, *_MESHES_ALONE)
+_FEW_ZEROS = 0.01  # of the points: so many may lie in the origin
 _ACCEPTED = (
     "a file path, an (N, 3) array, nested list or tensor, an object with .points or .vertices, "
     "or a mesh"
@@ -127,6 +128,12 @@ def _load_file(path: str | os.PathLike[str], samples: int) -> LoadedCloud:
             notes.append(
                 f"{name}: dropped {int((~finite).sum())} of {len(finite)} points with NaN or "
                 "infinite coordinates; matches count the points that stayed"
+            )
+        at_zero = int((points == 0.0).all(axis=1).sum())
+        if at_zero > max(1, _FEW_ZEROS * len(points)):
+            notes.append(
+                f"{name}: {at_zero} of {len(points)} points lie at 0, 0, 0: missing returns? "
+                "Remove them, if so"
             )
     check_pose(points, name, precision=precision_of(raw.points.dtype))
     return LoadedCloud(np.ascontiguousarray(points), tuple(notes), one_line(Path(path).name))
