@@ -129,7 +129,8 @@ def test_the_largest_rotation_reaches_the_method(monkeypatch: pytest.MonkeyPatch
         fullturn.register(CLOUD, CLOUD, max_rotation_deg=limit_deg)
     assert told == [None, pytest.approx(np.pi / 2), None]  # 180° is no limit
     for none_deg in (0, 5e-324):  # in radians, both are 0
-        with pytest.raises(InputError, match="angle above 0 and up to 180, or None, got"):
+        told = f"expected an angle above 0 and up to 180, or None, got {none_deg}"
+        with pytest.raises(InputError, match=told):
             fullturn.register(CLOUD, CLOUD, max_rotation_deg=none_deg)
 
 

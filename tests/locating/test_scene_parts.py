@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 import trimesh
+from locate_scenes_of import uneven_ground
 from scipy.spatial.transform import Rotation
 
 from fullturn.geometry import rigid
@@ -69,14 +70,13 @@ def test_parts_are_pieces_and_what_is_near_them() -> None:
     assert regions(whole, torch.zeros_like(every), **told) == []  # type: ignore[arg-type]
 
 
-def uneven_ground(rng: np.random.Generator) -> torch.Tensor:
-    """A surface of 8 × 8 that hangs together and is no plane."""
-    x, y = rng.uniform(-4, 4, (2, 20_000))
-    return torch.from_numpy(np.column_stack([x, y, 0.3 * np.sin(2 * x) * np.cos(2 * y)]))
+def ground_points() -> torch.Tensor:
+    mesh = uneven_ground(4.0, 0.15)
+    return torch.from_numpy(np.asarray(trimesh.sample.sample_surface(mesh, 20_000, seed=0)[0]))
 
 
 def test_what_is_far_larger_than_the_model_comes_in_balls_that_hold_it() -> None:
-    ground = uneven_ground(np.random.default_rng(0))
+    ground = ground_points()
     every = torch.ones(len(ground), dtype=torch.bool)
     found = regions(ground, every, diameter=2.0, spacing=0.06, limit=1000)
     assert 20 < len(found) < 120
@@ -88,7 +88,7 @@ def test_what_is_far_larger_than_the_model_comes_in_balls_that_hold_it() -> None
 
 
 def test_far_from_a_found_model_parts_stay_as_they_were() -> None:
-    ground = uneven_ground(np.random.default_rng(0))
+    ground = ground_points()
     taken = (ground - ground[7]).norm(dim=1) < 1.0
     before, after = (
         regions(ground, free, diameter=2.0, spacing=0.06, limit=1000)

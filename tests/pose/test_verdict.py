@@ -266,6 +266,15 @@ def test_copies_of_a_few_points_are_few_points() -> None:
     assert float(found.sum()) == pytest.approx(0.2)
 
 
+def test_copies_that_come_first_hide_none_of_the_others() -> None:
+    points = torch.randn(2000, 3, generator=torch.Generator().manual_seed(0)).double()
+    cloud = Cloud(torch.cat([torch.zeros(90, 3).double(), points]))  # missing returns
+    stated = torch.tensor([0.9]).double()
+    found, notes = limited(stated, cloud, cloud)
+    assert notes == ()
+    assert torch.equal(found, stated)
+
+
 @pytest.mark.parametrize("limit_rad", [1e-120, 1e-300])
 def test_the_smallest_limits_have_a_prior(limit_rad: float) -> None:
     prior = log_rotation_prior(torch.eye(4).double()[None], limit_rad)

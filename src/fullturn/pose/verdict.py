@@ -84,8 +84,9 @@ def limited(
 
 
 def _is_few(cloud: Cloud) -> bool:
-    """Whether there are too few different points; a few copies may be among the distinct ones."""
-    return len(torch.unique(cloud.distinct[: 2 * _LEAST_POINTS], dim=0)) < _LEAST_POINTS
+    """Whether there are too few different points; the first hundred nearly always tell."""
+    points = cloud.distinct  # a few copies may be left, all of them first
+    return all(len(some.unique(dim=0)) < _LEAST_POINTS for some in (points[:100], points))
 
 
 def verdict_inputs(

@@ -126,12 +126,13 @@ def _state(
             f"{out} holds a run already; go on with it by --resume, or choose another folder "
             "with --out"
         )
-    if not has_state(out) and (out / RUN_FILE).exists():
-        raise InputError(
-            f"expected checkpoints beside {out / RUN_FILE}, by which a run goes on, found none; "
-            "put them back, or choose another folder with --out, for these weights would be lost"
-        )
     if not has_state(out):
+        if (out / RUN_FILE).exists():
+            raise InputError(
+                f"expected checkpoints beside {out / RUN_FILE}, by which a run goes on, found "
+                "none; put them back, or choose another folder with --out, for these weights would "
+                "be lost"
+            )
         if resume:
             note(f"no checkpoint in {out} yet; starting at step 0")
         return None
