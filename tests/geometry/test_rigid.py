@@ -116,19 +116,6 @@ def test_skew_is_the_cross_product() -> None:
     torch.testing.assert_close(rigid.skew(a), -rigid.skew(a).mT)
 
 
-@pytest.mark.parametrize("batch", [(), (4,)])
-def test_small_motions_turn_by_their_step_to_the_third_order(batch: tuple[int, ...]) -> None:
-    step = torch.from_numpy(np.random.default_rng(6).normal(scale=0.1, size=(*batch, 6)))
-    T = rigid.small_motion(step)
-    R = T[..., :3, :3]
-    torch.testing.assert_close(R @ R.mT, torch.eye(3).double().expand_as(R), atol=1e-14, rtol=0)
-    angle = step[..., :3].norm(dim=-1)
-    torch.testing.assert_close(rigid.rotation_angle_rad(R), 2 * torch.atan(angle / 2))
-    apart = rigid.rotation_angle_rad(R.mT @ rigid.exp_so3(step[..., :3]))
-    assert bool((apart < angle**3 / 12).all())
-    assert torch.equal(T[..., :3, 3], step[..., 3:])
-
-
 def test_small_angles_keep_their_digits() -> None:
     vector = rotation_vectors(1e-9, (50,), torch.float64)
     torch.testing.assert_close(rigid.log_so3(rigid.exp_so3(vector)), vector, rtol=1e-14, atol=0)

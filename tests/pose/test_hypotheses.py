@@ -17,7 +17,7 @@ from fullturn.pose.hypotheses import (
     compatibility,
     distinct,
     matched_share,
-    pose_coordinates,
+    pose_distances,
     score_poses,
     seeded_poses,
 )
@@ -173,19 +173,18 @@ def test_scores_agree_with_brute_force(count: int) -> None:
     assert int(scores.argmax()) == 0
 
 
-def test_coordinates_are_rms_displacements() -> None:
+def test_distances_are_rms_displacements() -> None:
     points, _ = teapot(500)
     points = points[points[:, 0] > -0.2] * torch.tensor([1.0, 0.7, 0.3]) + 0.4
     T = random_motions(12, seed=9)
-    coordinates = pose_coordinates(T, points)
-    assert coordinates.shape == (12, 12)
-    apart = torch.cdist(coordinates, coordinates)
+    apart = pose_distances(T, points)
+    assert apart.shape == (12, 12)
     for a, b in np.ndindex(12, 12):
         assert float(apart[a, b]) == pytest.approx(rms_displacement(T[a], T[b], points), abs=1e-7)
 
 
 @pytest.mark.parametrize("kind", ["plane", "line", "one point"])
-def test_coordinates_of_flat_clouds(kind: str) -> None:
+def test_distances_on_flat_clouds(kind: str) -> None:
     points, _ = teapot(50)
     flat = {
         "plane": points * torch.tensor([1.0, 1.0, 0.0]),
@@ -193,7 +192,7 @@ def test_coordinates_of_flat_clouds(kind: str) -> None:
         "one point": points[:1].expand(50, 3),
     }[kind].double()
     T = random_motions(2, seed=10)
-    apart = pose_coordinates(T, flat).diff(dim=0).norm()
+    apart = pose_distances(T, flat)[0, 1]
     assert float(apart) == pytest.approx(rms_displacement(T[0], T[1], flat), abs=1e-7)
 
 
@@ -208,9 +207,9 @@ def test_distinct_by_hand(limit: int, radius: float) -> None:
         away = all(float((coordinates[i] - coordinates[j]).norm()) >= radius for j in kept)
         if away and len(kept) < limit:
             kept.append(int(i))
-    assert distinct(coordinates, scores, radius=radius, limit=limit).tolist() == kept
+    apart = torch.cdist(coordinates, coordinates)
+    assert distinct(apart, scores, radius=radius, limit=limit).tolist() == kept
 
 
 def test_of_equal_scores_the_first_is_kept() -> None:
-    coordinates = torch.zeros(5, 12)
-    assert distinct(coordinates, torch.ones(5), radius=0.1, limit=3).tolist() == [0]
+    assert distinct(torch.zeros(5, 5), torch.ones(5), radius=0.1, limit=3).tolist() == [0]

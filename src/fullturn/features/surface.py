@@ -76,13 +76,14 @@ def shell_counts(
     counts = points.new_empty(k, shells, 1 + 3 * (bins - 1))
     in_shell = points.new_empty(_ROWS_AT_ONCE, shells, n)
     in_bin = points.new_ones(_ROWS_AT_ONCE, 1 + 3 * (bins - 1), n)
+    shell_starts, bin_starts = ramp_starts(shells, like=shell), ramp_starts(bins, like=shell)[1:]
     for first in range(0, k, _ROWS_AT_ONCE):
         rows = slice(first, min(first + _ROWS_AT_ONCE, k))
         block = slice(0, rows.stop - first)
-        ramps(shell[rows], shells, out=in_shell[block]).mul_(weight[rows].unsqueeze(-2))
+        ramps(shell[rows], shell_starts, out=in_shell[block]).mul_(weight[rows].unsqueeze(-2))
         for number, cosine in enumerate(cosines):
             part = slice(1 + number * (bins - 1), 1 + (number + 1) * (bins - 1))
-            ramps(cosine[rows], bins, out=in_bin[block, part], first=1)
+            ramps(cosine[rows], bin_starts, out=in_bin[block, part])
         torch.bmm(in_shell[block], in_bin[block].mT, out=counts[rows])
     counts = between_ramps(counts, 1)
     total, parts = counts[..., :1], counts[..., 1:].unflatten(-1, (3, bins - 1))
@@ -107,18 +108,22 @@ def shell_position(
     return relative.mul_(shells).sub_(0.5)
 
 
+def ramp_starts(count: int, *, like: Tensor) -> Float[Tensor, "count 1"]:
+    """Where the `ramps` of so many bins begin: the first one everywhere, k at center k − 1."""
+    starts = torch.arange(-1, count - 1, dtype=like.dtype, device=like.device)
+    starts[0] = -torch.inf
+    return starts[:, None]
+
+
 def ramps(
-    position: Float[Tensor, "n m"], count: int, *, out: Tensor, first: int = 0
+    position: Float[Tensor, "n m"], starts: Float[Tensor, "c 1"], *, out: Tensor
 ) -> Float[Tensor, "n c m"]:
-    """1, and how far each position is from center k to center k + 1, in [0, 1], from `first` on.
+    """How far each position is along the ramps, of length 1, that begin at `starts`; in [0, 1].
 
     The share of a position in bin k, linear between centers, is ramp k − ramp k + 1: sums over
     ramps cost less than half of those over shares (`between_ramps`).
     """
-    starts = torch.arange(first - 1, count - 1, dtype=position.dtype, device=position.device)
-    if first == 0:
-        starts[0] = -torch.inf
-    return torch.sub(position.unsqueeze(-2), starts[:, None], out=out).clamp_(0, 1)
+    return torch.sub(position.unsqueeze(-2), starts, out=out).clamp_(0, 1)
 
 
 def between_ramps(sums: Float[Tensor, "..."], dim: int) -> Float[Tensor, "..."]:

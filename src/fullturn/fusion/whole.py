@@ -11,7 +11,7 @@ import numpy as np
 from fullturn.fusion.edges import Edge, Sides
 from fullturn.fusion.merge import merge_clouds
 from fullturn.fusion.scans import Body, Scan
-from fullturn.geometry.motion import invert, skew
+from fullturn.geometry.motion import adjoint, invert
 from fullturn.io import LoadedCloud
 
 _CELL = 1.5  # of a group's cloud, in spacings of what is kept of its scans
@@ -71,13 +71,13 @@ def anchored(
         _in_body(T_group_scan[side[0]], body, length, alone=len(side) == 1)
         for side, body in zip(sides, bodies, strict=True)
     )
-    adjoint = _adjoint(invert(T_B_j))
+    there = adjoint(invert(T_B_j))
     return replace(
         edge,
         target=sides[0][0],
         source=sides[1][0],
         T_target_source=invert(T_A_i) @ edge.T_target_source @ T_B_j,
-        covariance=adjoint @ edge.covariance @ adjoint.T,
+        covariance=there @ edge.covariance @ there.T,
         held=sides,
     )
 
@@ -108,12 +108,3 @@ def _in_body(T_group_scan: np.ndarray, body: Body, length: float, *, alone: bool
     T = T_group_scan.copy()
     T[:3, 3] -= body.center / length
     return T
-
-
-def _adjoint(T: np.ndarray) -> np.ndarray:
-    """Of a motion on twists (rotation vector, translation): [R 0; [t]ₓR R]."""
-    R = T[:3, :3]
-    result = np.zeros((6, 6))
-    result[:3, :3] = result[3:, 3:] = R
-    result[3:, :3] = skew(T[:3, 3]) @ R
-    return result

@@ -7,22 +7,20 @@ from jaxtyping import Float
 
 
 def rigid(
-    rotation: Float[np.ndarray, "3 3"], translation: Float[np.ndarray, "3"]
-) -> Float[np.ndarray, "4 4"]:
-    """The 4×4 motion ``x ↦ R·x + t``."""
-    motion = np.eye(4)
-    motion[:3, :3] = rotation
-    motion[:3, 3] = translation
+    rotation: Float[np.ndarray, "*batch 3 3"], translation: Float[np.ndarray, "*batch 3"]
+) -> Float[np.ndarray, "*batch 4 4"]:
+    """The 4×4 motions ``x ↦ R·x + t``."""
+    motion = np.zeros((*rotation.shape[:-2], 4, 4))
+    motion[..., :3, :3] = rotation
+    motion[..., :3, 3] = translation
+    motion[..., 3, 3] = 1.0
     return motion
 
 
 def invert(motion: Float[np.ndarray, "*batch 4 4"]) -> Float[np.ndarray, "*batch 4 4"]:
     """The inverses of rigid motions, [Rᵀ, −Rᵀt]."""
-    inverse = np.zeros(motion.shape)
-    inverse[..., :3, :3] = back = np.swapaxes(motion[..., :3, :3], -1, -2)
-    inverse[..., :3, 3] = -(back @ motion[..., :3, 3, None])[..., 0]
-    inverse[..., 3, 3] = 1.0
-    return inverse
+    back = np.swapaxes(motion[..., :3, :3], -1, -2)
+    return rigid(back, -(back @ motion[..., :3, 3, None])[..., 0])
 
 
 def move(
@@ -53,14 +51,30 @@ def nearest_rotation(matrix: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3
     return nearest
 
 
-def skew(vector: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
+def skew(vector: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3 3"]:
     """[v]ₓ, so that ``skew(v) @ x`` is v × x."""
-    x, y, z = vector
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    matrix = np.zeros((*vector.shape, 3))
+    x, y, z = np.moveaxis(vector, -1, 0)
+    matrix[..., 0, 1], matrix[..., 0, 2], matrix[..., 1, 2] = -z, y, -x
+    matrix[..., 1, 0], matrix[..., 2, 0], matrix[..., 2, 1] = z, -y, x
+    return matrix
 
 
-def small_motion(step: Float[np.ndarray, "6"]) -> Float[np.ndarray, "4 4"]:
-    """The motion of an optimizer's step (ω, v); `rigid.small_motion` says how."""
-    half = 0.5 * step[:3]
+def adjoint(T_a_b: Float[np.ndarray, "*batch 4 4"]) -> Float[np.ndarray, "*batch 6 6"]:
+    """Takes a small motion (ω, v) in frame b to the same one in frame a: (Rω, t × Rω + Rv)."""
+    R = T_a_b[..., :3, :3]
+    result = np.zeros((*R.shape[:-2], 6, 6))
+    result[..., :3, :3] = result[..., 3:, 3:] = R
+    result[..., 3:, :3] = skew(T_a_b[..., :3, 3]) @ R
+    return result
+
+
+def small_motion(step: Float[np.ndarray, "*batch 6"]) -> Float[np.ndarray, "*batch 4 4"]:
+    """The motion x → R x + v of an optimizer's step (ω, v).
+
+    R = (I − [ω/2]ₓ)⁻¹ (I + [ω/2]ₓ) (Cayley), which turns by ω but for terms of the third order.
+    """
+    half = 0.5 * step[..., :3]
     K = skew(half)
-    return rigid(np.eye(3) + 2.0 / (1.0 + half @ half) * (K + K @ K), step[3:])
+    scale = 2.0 / (1.0 + np.square(half).sum(-1))
+    return rigid(np.eye(3) + scale[..., None, None] * (K + K @ K), step[..., 3:])

@@ -86,17 +86,6 @@ def exp_se3(twist: Float[Tensor, "*batch 6"]) -> Float[Tensor, "*batch 4 4"]:
     return make(eye + sinc * K + cosc * K_sq, (V @ rho[..., None])[..., 0])
 
 
-def small_motion(step: Float[Tensor, "*batch 6"]) -> Float[Tensor, "*batch 4 4"]:
-    """Rigid motion x → R x + v of a step (ω, v) of an optimizer; a fifth of the cost of `exp_se3`.
-
-    R = (I − [ω/2]ₓ)⁻¹ (I + [ω/2]ₓ) (Cayley), which turns by ω but for terms of the third order.
-    """
-    half = 0.5 * step[..., :3]
-    K = skew(half)
-    scale = 2.0 / (1.0 + half.square().sum(-1))
-    return make(_eye_like(K) + scale[..., None, None] * (K + K @ K), step[..., 3:])
-
-
 def log_se3(T_target_source: Float[Tensor, "*batch 4 4"]) -> Float[Tensor, "*batch 6"]:
     """Twist (rotation vector in rad, then translation part) of a motion; inverse of `exp_se3`.
 

@@ -60,7 +60,7 @@ def find_poses(
     h = level.spacing
     few = _Sampled(part, model, model_grid, config.scored_points)
     kept = hypotheses.distinct(
-        hypotheses.pose_coordinates(T, model.surface),
+        hypotheses.pose_distances(T, model.surface),
         few.score(T, truncation=2 * h),
         radius=config.mode_radius * h,
         limit=config.modes,
@@ -69,7 +69,7 @@ def find_poses(
     T = some.refine(T[kept], scales=tuple(scale * h for scale in FIRST_SCALES))
     scores = some.score(T, truncation=1.5 * h)
     kept = hypotheses.distinct(
-        hypotheses.pose_coordinates(T, model.surface), scores, radius=h, limit=config.finalists
+        hypotheses.pose_distances(T, model.surface), scores, radius=h, limit=config.finalists
     )
     kept = kept[scores[kept] >= config.finalist_share * scores.amax()]
     f = part.spacing
@@ -77,7 +77,7 @@ def find_poses(
     T = many.refine(T[kept], scales=(3 * f, 3 * f, 2.5 * f, 2 * f, 2 * f, 1.5 * f))
     scores = many.score(T, truncation=1.5 * f)
     kept = hypotheses.distinct(
-        hypotheses.pose_coordinates(T, model.surface),
+        hypotheses.pose_distances(T, model.surface),
         scores,
         radius=0.3 * f,
         limit=config.finalists,

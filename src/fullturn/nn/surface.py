@@ -10,7 +10,14 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 from torch.nn import functional
 
-from fullturn.features.surface import between_ramps, distances, ramps, shell_counts, shell_position
+from fullturn.features.surface import (
+    between_ramps,
+    distances,
+    ramp_starts,
+    ramps,
+    shell_counts,
+    shell_position,
+)
 from fullturn.nn.packaged import load_packaged
 
 
@@ -132,7 +139,8 @@ def _shell_means(
     with torch.no_grad():
         weight = area * (distance < radius)
         shell = shell_position(distance, radius=radius, shells=shells, power=1.0)
-        share = ramps(shell, shells, out=distance.new_empty(n, shells, n)).mul_(weight.unsqueeze(1))
+        starts, share = ramp_starts(shells, like=shell), distance.new_empty(n, shells, n)
+        ramps(shell, starts, out=share).mul_(weight.unsqueeze(1))
     summed = share.flatten(0, 1) @ torch.cat([values, values.new_ones(n, 1)], 1)
     summed = between_ramps(summed.view(n, shells, -1), 1)
     return (summed[..., :-1] / summed[..., -1:].clamp_min(1e-3)).flatten(1)

@@ -9,15 +9,16 @@ from torch import Tensor
 
 from fullturn.geometry.cloud import Cloud
 from fullturn.geometry.motion import small_motion
-from fullturn.pose.closest_pairs import ClosestPairs, Residuals
+from fullturn.pose.closest_pairs import ClosestPairs
 from fullturn.pose.kabsch import nearest_motion
+from fullturn.pose.residuals import gauss_newton_step
 
 # Rounds begin with about so many points of each cloud, as long as steps are longer than this share
 # of the noise; the pose has settled when they are shorter than the second.
 _FIRST_POINTS, _FIRST_ROUNDS = 300, 20
 _ROUNDS = 30  # most settle in ten; along smooth surfaces, steps stay short
 _NEAR, _SETTLED = 0.1, 0.02
-_DAMPING, _LARGEST_STEP = 1e-6, 0.2
+_DAMPING, _LARGEST_STEP = 1e-6, 0.2  # just enough to be solvable
 
 
 def refine_fine(
@@ -41,7 +42,9 @@ def refine_fine(
         pairs = ClosestPairs(source, target, every=every)
         for _ in range(rounds):
             residuals = pairs.residuals(T, cutoff=cutoff)
-            step = _step(residuals)
+            step = gauss_newton_step(
+                residuals.H, residuals.g, damping=_DAMPING, largest=_LARGEST_STEP
+            )
             T = T @ small_motion(step)
             moved = float(np.abs(step).max())
             settled = moved < enough * residuals.sigma_normal and residuals.reach > 0.9 * cutoff
@@ -49,10 +52,3 @@ def refine_fine(
             if settled:
                 break
     return nearest_motion(torch.from_numpy(T).to(T_target_source))
-
-
-def _step(residuals: Residuals) -> Float[np.ndarray, "6"]:
-    """Gauss–Newton's, damped just enough to be solvable; zero where nothing pulls."""
-    H = residuals.H
-    damped = H + (_DAMPING * np.trace(H) / 6 + np.finfo(np.float64).tiny ** 0.5) * np.eye(6)
-    return np.clip(-np.linalg.solve(damped, residuals.g), -_LARGEST_STEP, _LARGEST_STEP)

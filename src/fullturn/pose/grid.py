@@ -61,7 +61,7 @@ class NearestGrid:
         strides = torch.tensor([ny * nz, nz, 1], device=device)
         self._strides = strides.to(points.dtype)  # exact, as indices are below 2²⁴
         base = (((kept - self._low) / cell).floor().long() @ strides).numpy(force=True)
-        index = torch.nonzero(inside)[:, 0].numpy(force=True)
+        index = torch.nonzero(inside)[:, 0].int().numpy(force=True)
         # In NumPy, which is three times as fast at many small assignments.
         table = np.full(nx * ny * nz, len(points), dtype=np.int32)
         for shift in (offsets @ strides).tolist():

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
@@ -156,10 +157,10 @@ def explained_parts(
         yield squared_falloff(difference.square_().sum(0), truncation)
 
 
-def pose_coordinates(
+def pose_distances(
     T_target_source: Float[Tensor, "k 4 4"], source: Float[Tensor, "n 3"]
-) -> Float[Tensor, "k 12"]:
-    """Coordinates of poses in which Euclidean distance is the RMS displacement of the source.
+) -> Float[Tensor, "k k"]:
+    """How far apart any two poses put the source: the RMS displacement of its points.
 
     With mean c and covariance S of the source points, mean |(T₁ − T₂)x|² is
     |(R₁ − R₂) S^½|² + |(R₁c + t₁) − (R₂c + t₂)|².
@@ -169,11 +170,12 @@ def pose_coordinates(
     values, vectors = torch.linalg.eigh(centered.T @ centered / len(source))
     root = vectors * values.clamp_min(0).sqrt()
     R, t = T_target_source[:, :3, :3], T_target_source[:, :3, 3]
-    return torch.cat([(R @ root).flatten(1), R @ mean + t], 1)
+    coordinates = torch.cat([(R @ root).flatten(1), R @ mean + t], 1)
+    return torch.cdist(coordinates, coordinates)
 
 
 def distinct(
-    coordinates: Float[Tensor, "k c"],
+    apart: Float[Tensor, "k k"],
     scores: Float[Tensor, " k"],
     *,
     radius: float,
@@ -181,17 +183,16 @@ def distinct(
 ) -> Int[Tensor, " m"]:
     """Indices of the best-scored poses that lie at least `radius` apart, best first."""
     order = torch.argsort(scores, descending=True, stable=True)
-    ordered = coordinates[order]
-    close = (torch.cdist(ordered, ordered) < radius).cpu().numpy()
-    free = torch.ones(len(order), dtype=torch.bool).numpy()
+    close = (apart < radius).numpy(force=True)
+    free = np.ones(len(close), dtype=bool)
     kept = []
-    for position in range(len(order)):
-        if free[position]:
-            kept.append(position)
+    for row in order.tolist():
+        if free[row]:
+            kept.append(row)
             if len(kept) == limit:
                 break
-            free &= ~close[position]
-    return order[torch.tensor(kept, device=order.device)]
+            free &= ~close[row]
+    return torch.tensor(kept, device=order.device)
 
 
 def _falloff(value: Float[Tensor, "*s"], tolerance: float) -> Float[Tensor, "*s"]:

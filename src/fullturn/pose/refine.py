@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from fullturn.geometry import rigid
+from fullturn.geometry.motion import adjoint, invert, small_motion
 from fullturn.pose.grid import NearestGrid
 from fullturn.pose.kabsch import weighted_kabsch
 from fullturn.pose.planes import move_planes, squared_falloff
@@ -43,28 +44,33 @@ def refine_poses(
     shows (`seen`) count, and target points find partners only where the source faces the direction
     to the `eye`, in the source's frame: the far side of a thin wall must not draw its near side.
     """
-    T = T_target_source
-    source, target = source.T.contiguous(), target.T.contiguous()
+    # Poses are so few that NumPy, whose calls cost less, takes half the time for all that isn't
+    # done for every point.
+    T = T_target_source.numpy(force=True).astype(np.float64)
+    points, partners = source.T.contiguous(), target.T.contiguous()
     for scale in scales:
-        moved = move_planes(T, source)
+        moved = move_planes(torch.from_numpy(T).to(source), points)
         difference, normal = target_grid.nearest(moved)
         weight = tukey(difference, scale)
         if seen is not None:
             weight = weight * seen
-        H, g = plane_equations(moved, difference, normal, weight)
+        H, g = _in_numpy(plane_equations(moved, difference, normal, weight))
         # In the source's frame it is the partner that moves, by what the motion is there.
-        T_source_target = rigid.invert(T)
-        back = move_planes(T_source_target, target)
+        T_source_target = invert(T)
+        back = move_planes(torch.from_numpy(T_source_target).to(target), partners)
         difference, normal = source_grid.nearest(back)
         weight = tukey(difference, scale)
         if eye is not None:
             weight = weight * ((normal * eye.T.unsqueeze(-1)).sum(0) > _GRAZING)
-        H_back, g_back = plane_equations(back - difference, difference.neg_(), normal, weight)
-        there = _adjoint(T_source_target)
-        H = H + there.mT @ H_back @ there
-        g = g + (there.mT @ g_back.unsqueeze(-1)).squeeze(-1)
-        T = rigid.small_motion(gauss_newton_step(H, g, damping=_DAMPING)) @ T
-    return T
+        H_back, g_back = _in_numpy(
+            plane_equations(back - difference, difference.neg_(), normal, weight)
+        )
+        there = adjoint(T_source_target)
+        across = np.swapaxes(there, -1, -2)
+        H = H + across @ H_back @ there
+        g = g + (across @ g_back[..., None])[..., 0]
+        T = small_motion(gauss_newton_step(H, g, damping=_DAMPING)) @ T
+    return torch.from_numpy(T).to(T_target_source)
 
 
 def lay_on_points(
@@ -100,8 +106,6 @@ def tukey(difference: Float[Tensor, " 3 *batch"], scale: float) -> Float[Tensor,
     return squared_falloff(difference.square().sum(0), scale).square_()
 
 
-def _adjoint(T_a_b: Float[Tensor, "k 4 4"]) -> Float[Tensor, "k 6 6"]:
-    """Takes a small motion (ω, v) in frame b to the same one in frame a: (Rω, t × Rω + Rv)."""
-    R = T_a_b[:, :3, :3]
-    top = torch.cat([R, torch.zeros_like(R)], 2)
-    return torch.cat([top, torch.cat([rigid.skew(T_a_b[:, :3, 3]) @ R, R], 2)], 1)
+def _in_numpy(tensors: tuple[Tensor, Tensor]) -> tuple[np.ndarray, np.ndarray]:
+    first, second = tensors
+    return first.numpy(force=True), second.numpy(force=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -33,17 +34,17 @@ def plane_equations(
 
 
 def gauss_newton_step(
-    H: Float[Tensor, "*batch 6 6"],
-    g: Float[Tensor, "*batch 6"],
+    H: Float[np.ndarray, "*batch 6 6"],
+    g: Float[np.ndarray, "*batch 6"],
     *,
     damping: float,
     largest: float = 0.5,
-) -> Float[Tensor, "*batch 6"]:
+) -> Float[np.ndarray, "*batch 6"]:
     """−H⁻¹g, damped by `damping` times the mean diagonal of H, no entry above `largest`.
 
-    Zero where nothing pulls. Damping holds back what the residuals leave free.
+    Zero where nothing pulls. Damping holds back what the residuals leave free. In NumPy: of a few
+    poses, what takes time is the number of calls.
     """
-    size = H.diagonal(dim1=-2, dim2=-1).mean(-1)[..., None, None]
-    eye = torch.eye(6, dtype=H.dtype, device=H.device)
-    damped = H + (damping * size + torch.finfo(H.dtype).tiny ** 0.5) * eye
-    return -torch.linalg.solve(damped, g.unsqueeze(-1)).squeeze(-1).clamp(-largest, largest)
+    size = np.trace(H, axis1=-2, axis2=-1)[..., None, None] / 6
+    damped = H + (damping * size + np.finfo(H.dtype).tiny ** 0.5) * np.eye(6, dtype=H.dtype)
+    return np.clip(-np.linalg.solve(damped, g[..., None])[..., 0], -largest, largest)

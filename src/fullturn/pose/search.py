@@ -192,7 +192,7 @@ class Search:
         T = refine_poses(T, source, target, *grids, scales=(1.5 * h,) * 3 + (1.2 * h,) * 4)
         overlap = _two_sided(pair, grids, T, truncation=h)
         kept = hypotheses.distinct(
-            hypotheses.pose_coordinates(T, source), overlap, radius=0.2 * h, limit=len(T)
+            hypotheses.pose_distances(T, source), overlap, radius=0.2 * h, limit=len(T)
         )
         return T[kept[overlap[kept] >= config.finalist_share * overlap.amax()]]
 
@@ -200,7 +200,7 @@ class Search:
         pair = self._coarse
         share = hypotheses.matched_share(self._matched, T, truncation=2 * pair.spacing)
         merit = share / (overlap + _LITTLE_OVERLAP).sqrt()
-        return _Scored(T, hypotheses.pose_coordinates(T, pair.source.points), overlap, merit)
+        return _Scored(T, hypotheses.pose_distances(T, pair.source.points), overlap, merit)
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,7 +212,7 @@ class _Scored:
     """
 
     T: Float[Tensor, "k 4 4"]
-    coordinates: Float[Tensor, "k c"]
+    apart: Float[Tensor, "k k"]
     overlap: Float[Tensor, " k"]
     merit: Float[Tensor, " k"]
 
@@ -221,9 +221,9 @@ class _Scored:
     ) -> Float[Tensor, "m 4 4"]:
         """Distinct poses: those of most overlap, and those that match best for their overlap."""
         overlap = self.overlap
-        most = hypotheses.distinct(self.coordinates, overlap, radius=radius, limit=limits[0])
+        most = hypotheses.distinct(self.apart, overlap, radius=radius, limit=limits[0])
         most = most[overlap[most] >= least_share * overlap.amax()]
-        matching = hypotheses.distinct(self.coordinates, self.merit, radius=radius, limit=limits[1])
+        matching = hypotheses.distinct(self.apart, self.merit, radius=radius, limit=limits[1])
         return self.T[torch.cat([most, matching]).unique()]
 
 

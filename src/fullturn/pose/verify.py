@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from fullturn.geometry import rigid
@@ -56,6 +56,7 @@ AGREEMENT = (
 )
 _CONFLICT_REACH = 0.25  # normalized
 _TOGETHER = 2.0  # spacings: keypoints lie farther apart than points
+_POSES_AT_ONCE = 4  # whose distances between keypoints then stay in the processor's cache
 _RAW = _LOGARITHMIC + _LINEAR
 MEASURED = _RAW + tuple(f"{name}_sides" for name in _SIDED) + _SEEN + _SIDES + _PAIR
 # By the evidence network, from all keypoints together; NaN likewise.
@@ -101,19 +102,34 @@ def likenesses(
     """Of the source's keypoints and of the target's; `alike` says how similar any two are."""
     source, target = pair.source, pair.target
     moved = rigid.apply(T_target_source, source.points[source.keypoints])
-    there = target.points[target.keypoints]
-    # |a − b|² − |a|²: exact enough for neighbors, and much faster than the distances.
-    distance_sq = torch.baddbmm(
-        there.square().sum(-1), moved, there.T.expand(len(moved), -1, -1), alpha=-2
-    )
-    distance_sq += moved.square().sum(-1, keepdim=True)
+    there = target.points[target.keypoints].expand(len(moved), -1, -1)
     sides = []
-    for level, dim, similarity in ((source, 2, alike), (target, 1, alike.T)):
-        nearest, partner = distance_sq.min(dim)
+    for level, at, others, similarity in (
+        (source, moved, there, alike),
+        (target, there, moved, alike.T),
+    ):
+        distance, partner = _nearest(at, others)
         found = similarity.gather(1, partner.T).T
         area = level.area[level.keypoints]
-        sides.append(Likeness(nearest.clamp_min(0).sqrt(), found, similarity.amax(1), area))
+        sides.append(Likeness(distance, found, similarity.amax(1), area))
     return sides[0], sides[1]
+
+
+def _nearest(
+    at: Float[Tensor, "k n 3"], others: Float[Tensor, "k m 3"]
+) -> tuple[Float[Tensor, "k n"], Int[Tensor, "k n"]]:
+    """Distance to the nearest of the others, and which one that is."""
+    least_sq, nearest = [], []
+    for some, those in zip(at.split(_POSES_AT_ONCE), others.split(_POSES_AT_ONCE), strict=True):
+        # |a − b|² − |a|²: exact enough for neighbors, and much faster than the distances.
+        beyond_sq = torch.baddbmm(those.square().sum(-1).unsqueeze(1), some, those.mT, alpha=-2)
+        if beyond_sq.device.type == "cpu":
+            nearest.append(torch.from_numpy(beyond_sq.numpy().argmin(-1)))  # six times as fast
+        else:
+            nearest.append(beyond_sq.argmin(-1))
+        least_sq.append(beyond_sq.gather(-1, nearest[-1].unsqueeze(-1)).squeeze(-1))
+    distance = (torch.cat(least_sq) + at.square().sum(-1)).clamp_min_(0).sqrt_()
+    return distance, torch.cat(nearest)
 
 
 def agreement(sides: tuple[Likeness, Likeness], *, spacing: float) -> Float[Tensor, "k 2"]:

@@ -163,4 +163,7 @@ def _step(moved: Tensor, partner: Tensor, normal: Tensor | None, weight: Tensor)
         return weighted_kabsch(moved, partner, weight)
     H, g = plane_equations(moved.T, (moved - partner).T, normal.T, weight)
     # Directions in which planes slide on one another stay where they are.
-    return rigid.exp_se3(gauss_newton_step(H, g, damping=1e-9, largest=math.inf))
+    step = gauss_newton_step(
+        H.numpy(force=True), g.numpy(force=True), damping=1e-9, largest=math.inf
+    )
+    return rigid.exp_se3(torch.from_numpy(step).to(g))
