@@ -25,7 +25,6 @@ ONLY = {"io": {"geometry"}, "viz": {"geometry", "io"}, "data": {"geometry", "io"
 
 # Where a tensor is moved to the CPU on purpose, and why.
 MAY_MOVE = {"io/load.py": "arrays come out of load_cloud, whatever device a tensor was on"}
-MAY_MOVE |= {"pose/hypotheses.py": "choosing distinct poses one by one is a loop on the host"}
 
 GLOBAL_SEEDS = {"numpy.random.seed", "np.random.seed", "torch.manual_seed", "random.seed"}
 GLOBAL_SEEDS |= {"torch.cuda.manual_seed", "torch.cuda.manual_seed_all", "torch.seed"}

@@ -6,6 +6,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from fullturn.geometry.step import unit_step
+
 # Rows of the pair matrices worked on at once: their blocks then stay in the processor's cache.
 _ROWS_AT_ONCE = 32
 
@@ -70,7 +72,7 @@ def shell_counts(
             cosine.add_(1).mul_(0.5 * bins).sub_(0.5)
         else:
             cosine.abs_().mul_(bins).sub_(0.5)
-    weight = area * ((distance > 1e-6 * radius) & (distance < radius))
+    weight = unit_step(radius - distance).mul_(unit_step(distance - 1e-6 * radius)).mul_(area)
     shell = shell_position(distance, radius=radius, shells=shells, power=power)
     k, n = distance.shape
     counts = points.new_empty(k, shells, 1 + 3 * (bins - 1))
@@ -94,7 +96,8 @@ def shell_counts(
 
 def distances(points: Float[Tensor, "n 3"], keypoints: Int[Tensor, " k"]) -> Float[Tensor, "k n"]:
     """From each keypoint to all points; exact for near ones."""
-    return torch.cdist(points[keypoints], points, compute_mode="donot_use_mm_for_euclid_dist")
+    x, y, z = (axis[keypoints].unsqueeze(-1) - axis for axis in points.T.contiguous())
+    return x.square_().addcmul_(y, y).addcmul_(z, z).sqrt_()
 
 
 def shell_position(

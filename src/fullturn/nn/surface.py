@@ -18,6 +18,7 @@ from fullturn.features.surface import (
     shell_counts,
     shell_position,
 )
+from fullturn.geometry.step import unit_step
 from fullturn.nn.packaged import load_packaged
 
 
@@ -84,7 +85,7 @@ class SurfaceNet(nn.Module):
         points = (points - points.mean(0)) / spacing
         distance = distances(points, keypoints)
         told = self.surroundings(points, normals, area, distance, keypoints)
-        return self.describe(told, area[keypoints], distance[:, keypoints])
+        return self.describe(told, area[keypoints], distance.index_select(1, keypoints))
 
     def surroundings(
         self,
@@ -137,7 +138,7 @@ def _shell_means(
     """Means of the neighbors' values over shells, each neighbor counting with its area."""
     n = len(distance)
     with torch.no_grad():
-        weight = area * (distance < radius)
+        weight = unit_step(radius - distance).mul_(area)
         shell = shell_position(distance, radius=radius, shells=shells, power=1.0)
         starts, share = ramp_starts(shells, like=shell), distance.new_empty(n, shells, n)
         ramps(shell, starts, out=share).mul_(weight.unsqueeze(1))

@@ -11,6 +11,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from fullturn.geometry.step import unit_step
 from fullturn.matching.correspondence import Matches
 from fullturn.pose.grid import NearestGrid
 from fullturn.pose.kabsch import weighted_kabsch
@@ -19,6 +20,7 @@ from fullturn.pose.planes import move_planes, squared_falloff, turn_planes
 # Poses scored at once: their transformed points then stay in the processor's cache.
 _POSES_AT_ONCE = 128
 _ANGLE_TOLERANCE = 0.4  # of two normals, in |cosine|
+_COMPATIBLE = 0.3  # agreement from which two matches share a motion
 _COUNTED = 5  # one in so many matches counts for the agreement of two others
 
 
@@ -65,17 +67,17 @@ def compatibility(
     """
     at, to = matched.source, matched.target
     source_length, target_length = torch.cdist(at, at), torch.cdist(to, to)
-    allowed = torch.minimum(source_length, target_length) > length_tolerance
+    allowed = unit_step(torch.minimum(source_length, target_length).sub_(length_tolerance))
     if max_rotation_rad is not None:
         products = at @ to.T
         own = products.diagonal()
         cosine = (own[:, None] + own - products - products.T).div_(source_length * target_length)
-        allowed &= cosine >= math.cos(min(max_rotation_rad, math.pi))
+        allowed *= cosine >= math.cos(min(max_rotation_rad, math.pi))
     agreement = _falloff(source_length - target_length, length_tolerance)
     source_cosine = (matched.source_normals @ matched.source_normals.T).abs_()
     target_cosine = (matched.target_normals @ matched.target_normals.T).abs_()
     agreement *= _falloff(source_cosine - target_cosine, _ANGLE_TOLERANCE)
-    return agreement * allowed
+    return agreement.mul_(allowed)
 
 
 def seeded_poses(
@@ -89,8 +91,8 @@ def seeded_poses(
     match in five is counted: it finds as much.
     """
     count = len(matched.source)
-    compatible = (agreement > 0.3).to(agreement.dtype)
-    second_order = agreement * (compatible[:, ::_COUNTED] @ compatible[::_COUNTED])
+    compatible = unit_step(agreement[::_COUNTED] - _COMPATIBLE)
+    second_order = (compatible.T @ compatible).mul_(agreement)
     weight, companion = second_order.topk(min(companions, count), dim=1)
     seed = torch.arange(count, device=companion.device)[:, None]
     members = torch.cat([seed, companion], 1)
@@ -107,15 +109,22 @@ def matched_share(
 
     One counts (1 − d²/truncation²) times the cosine of the normals, by the best of its matches.
     """
-    source, source_normals = matched.source.T.contiguous(), matched.source_normals.T.contiguous()
-    target, target_normals = matched.target.T[:, None], matched.target_normals.T[:, None]
+    source, source_normals, target, target_normals = (
+        rows.T.contiguous()
+        for rows in (
+            matched.source,
+            matched.source_normals,
+            matched.target,
+            matched.target_normals,
+        )
+    )
     points, row = matched.source_index.unique(return_inverse=True)
     shares = []
     for part in T_target_source.split(_POSES_AT_ONCE):
-        difference = move_planes(part, source).sub_(target)
+        difference = move_planes(part, source).sub_(target[:, None])
         near = squared_falloff(difference.square_().sum(0), truncation)
         turned = turn_planes(part[:, :3, :3], source_normals)
-        near *= turned.mul_(target_normals).sum(0).clamp_min_(0)
+        near *= turned.mul_(target_normals[:, None]).sum(0).clamp_min_(0)
         best = near.new_zeros(len(part), len(points))
         best.scatter_reduce_(1, row.expand(len(part), -1), near, "amax")
         shares.append(best.mean(1))
@@ -183,7 +192,7 @@ def distinct(
 ) -> Int[Tensor, " m"]:
     """Indices of the best-scored poses that lie at least `radius` apart, best first."""
     order = torch.argsort(scores, descending=True, stable=True)
-    close = (apart < radius).numpy(force=True)
+    close = apart.numpy(force=True) < radius
     free = np.ones(len(close), dtype=bool)
     kept = []
     for row in order.tolist():
