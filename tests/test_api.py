@@ -69,7 +69,7 @@ class Recorder(Method):
 
 @pytest.fixture
 def recorder(monkeypatch: pytest.MonkeyPatch) -> type[Recorder]:
-    monkeypatch.setattr(api, "get", lambda _: Recorder)
+    monkeypatch.setattr(api, "make_method", lambda _: Recorder())
     return Recorder
 
 
@@ -124,7 +124,7 @@ def test_the_largest_rotation_reaches_the_method(monkeypatch: pytest.MonkeyPatch
             told.append(max_rotation_rad)
             return super().estimate(source, target, rng=rng)
 
-    monkeypatch.setattr(api, "get", lambda _: Limited)
+    monkeypatch.setattr(api, "make_method", lambda _: Limited())
     for limit_deg in (None, 90, 180.0):
         fullturn.register(CLOUD, CLOUD, max_rotation_deg=limit_deg)
     assert told == [None, pytest.approx(np.pi / 2), None]  # 180° is no limit
@@ -154,7 +154,7 @@ def test_the_verdict_hears_of_a_largest_rotation(monkeypatch: pytest.MonkeyPatch
     rng = np.random.default_rng(3)
     bar = rng.uniform(-1, 1, (400, 3)) * [1.0, 0.3, 0.1]
 
-    monkeypatch.setattr(api, "get", lambda _: Told)
+    monkeypatch.setattr(api, "make_method", lambda _: Told())
     again = rng.uniform(-1, 1, (400, 3)) * [1.0, 0.3, 0.1]
     free = fullturn.register(bar, again)
     limited = fullturn.register(bar, again, max_rotation_deg=30)
@@ -167,7 +167,7 @@ def test_the_verdict_leaves_the_methods_own_order(monkeypatch: pytest.MonkeyPatc
             found = super().estimate(source, target, rng=rng)
             return Estimate(found.T_target_source.flip(0))
 
-    monkeypatch.setattr(api, "get", lambda _: Reversed)
+    monkeypatch.setattr(api, "make_method", lambda _: Reversed())
     result = fullturn.register(CLOUD, CLOUD)
     (better,) = result.alternatives
     np.testing.assert_allclose(better.T_target_source, np.eye(4), atol=1e-12)
@@ -180,7 +180,7 @@ def test_an_answer_that_is_none_is_an_error(monkeypatch: pytest.MonkeyPatch) -> 
         def estimate(self, source: Cloud, target: Cloud, *, rng: np.random.Generator) -> Estimate:
             return Estimate(2.0 * torch.eye(4)[None])
 
-    monkeypatch.setattr(api, "get", lambda _: Skewed)
+    monkeypatch.setattr(api, "make_method", lambda _: Skewed())
     with pytest.raises(InputError, match=r"^method recorder: expected rigid poses"):
         fullturn.register(CLOUD, CLOUD)
 

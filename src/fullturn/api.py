@@ -12,8 +12,13 @@ from fullturn.errors import whole_number
 from fullturn.geometry.cloud import Cloud
 from fullturn.io import LoadedCloud, load_cloud
 from fullturn.io.check import as_viewpoint
-from fullturn.methods.check import check_max_rotation, rotation_limit_rad, run_method
-from fullturn.methods.registry import get, methods
+from fullturn.methods.check import (
+    check_max_rotation,
+    make_method,
+    rotation_limit_rad,
+    run_method,
+)
+from fullturn.methods.registry import methods
 from fullturn.normalize import normalized_clouds
 from fullturn.pose.explain import explain, pose_overlap
 from fullturn.pose.search import find_finalists
@@ -61,9 +66,10 @@ def register(
         InputError: a cloud, viewpoint, seed, method name or largest rotation that cannot be used,
             or a method that takes no largest rotation.
         ReadError: a file that cannot be read.
+        FullturnError: the method failed; what it raised is the cause.
     """
     begin = time.perf_counter()
-    solver = get(method)()
+    solver = make_method(method)
     rng = np.random.default_rng(whole_number(seed, "seed", least=0))
     max_rotation_deg = check_max_rotation(max_rotation_deg, type(solver))
     source_cloud, target_cloud = _load(source, "source"), _load(target, "target")

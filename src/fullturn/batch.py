@@ -9,8 +9,7 @@ from typing import Any
 
 from fullturn.errors import FullturnError, InputError, whole_number
 from fullturn.io.load import load_cloud
-from fullturn.methods.check import check_max_rotation
-from fullturn.methods.registry import get
+from fullturn.methods.check import check_max_rotation, make_method
 from fullturn.progress import progress_bar
 from fullturn.result import Registration
 from fullturn.workers import Crew, attempt, check_workers
@@ -53,7 +52,7 @@ def register_many(
         FullturnError: worker processes cannot start.
         RegistrationInterrupted: Ctrl-C; it carries the finished results.
     """
-    solver = get(method)()  # says now, and not once per pair, that a package is missing
+    solver = make_method(method)  # says now, and not once per pair, that a package is missing
     whole_number(seed, "seed", least=0)
     check_max_rotation(max_rotation_deg, type(solver))
     if isinstance(pairs, (str, bytes)) or not isinstance(pairs, Iterable):

@@ -176,7 +176,8 @@ def attempt(work: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T | Full
     try:
         return work(*args, **kwargs)
     except FullturnError as error:
-        return error.with_traceback(None)  # whose frames would keep the clouds in memory
+        error.__cause__ = error.__context__ = None  # frames would keep the clouds in memory
+        return error.with_traceback(None)
     # A fault in one task must not cost the others their results.
     except Exception as error:
         return FullturnError(f"unexpected {type(error).__name__}: {one_line(error)}")

@@ -82,7 +82,7 @@ def test_failures_are_rows_with_their_reason(tmp_path: Path) -> None:
     assert [part["n"] for part in found.values()] == [4, 4, 4]
     assert found["dies"]["success"] == 0.75
     rows = rows_of(tmp_path / "run")
-    assert rows[1]["error"] == "ZeroDivisionError: a fault"
+    assert rows[1]["error"].startswith("method raises, estimate(): ZeroDivisionError: a fault (")
     assert "exit code -9" in rows[5]["error"]
     assert all("rigid" in row["error"] for row in rows[8:])
 

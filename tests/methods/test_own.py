@@ -8,9 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 import fullturn
-from fullturn.errors import InputError
+from fullturn.cli.main import build_app
+from fullturn.errors import FullturnError, InputError
 from fullturn.methods.registry import get
 
 GOOD = """
@@ -120,3 +122,62 @@ def test_what_cannot_be_had_is_named(
         get(place)
     assert "\n" not in str(caught.value)
     assert not any("broken" in name for name in set(sys.modules) - loaded)
+
+
+FAULTY = """
+import numpy as np
+from fullturn.methods.base import Method
+
+class Base(Method):
+    name, summary, reference = "faulty", "one", "none"
+    def estimate(self, source, target, *, rng):
+        return self.answer(source)
+
+class Raises(Base):
+    def answer(self, source):
+        raise KeyError("a\\nfault")
+
+class Calls(Base):
+    def answer(self, source):
+        return np.linalg.inv(np.zeros((2, 2)))  # raises in a file of NumPy
+
+class Opens(Base):
+    def answer(self, source):
+        return open("no_such_weights")
+
+class Leaves(Base):
+    def answer(self, source):
+        raise SystemExit(3)
+
+class NotMade(Base):
+    def __init__(self):
+        raise FileNotFoundError("no weights")
+
+class Deaf(Base):
+    def estimate(self, source): ...
+"""
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("Raises", r"method faulty, estimate\(\): KeyError: 'a\\nfault' \(faulty.py, line 12\)"),
+        ("Calls", r"method faulty, estimate\(\): LinAlgError: .* \(faulty.py, line 16\)"),
+        ("Opens", r"method faulty, estimate\(\): FileNotFoundError: .* \(faulty.py, line 20\)"),
+        ("Leaves", r"method faulty, estimate\(\): SystemExit: 3 \(faulty.py, line 24\)"),
+        ("NotMade", r"method faulty: FileNotFoundError: no weights \(faulty.py, line 28\)"),
+        ("Deaf", r"method faulty, estimate\(\): TypeError: .*\(check.py, line \d+\)"),
+    ],
+)
+def test_what_it_raises_is_one_error_that_names_it(name: str, message: str, tmp_path: Path) -> None:
+    path = tmp_path / "faulty.py"
+    path.write_text(FAULTY)
+    method = f"{path}:{name}"
+    with pytest.raises(FullturnError, match=f"^{message}$") as caught:
+        fullturn.register(CLOUD, CLOUD, method=method)
+    assert type(caught.value.__cause__).__name__ in message
+    np.save(tmp_path / "a.npy", CLOUD)
+    files = [str(tmp_path / "a.npy")] * 2
+    done = CliRunner().invoke(build_app(), ["register", *files, "--method", method])
+    assert (done.exit_code, done.stdout) == (1, "")
+    assert done.stderr == f"fullturn: error: {caught.value}\n"

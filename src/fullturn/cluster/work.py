@@ -17,6 +17,7 @@ from fullturn.api import register
 from fullturn.batch import Outcome
 from fullturn.cluster.pairs import PairRow
 from fullturn.errors import FullturnError, InputError, one_line
+from fullturn.methods.check import make_method
 from fullturn.methods.fingerprint import REGISTER, fingerprint
 from fullturn.methods.registry import get
 from fullturn.workers import attempt
@@ -44,7 +45,7 @@ def make_job(folder: str, *, method: str, seed: int) -> Job:
         InputError: no such method.
         DependencyError: the method's package is missing.
     """
-    get(method)()  # says now, and not once per pair, that a package is missing
+    make_method(method)  # says now, and not once per pair, that a package is missing
     code, versions = _code_of(method)
     return Job(folder, method, seed, code, versions=versions)
 
@@ -102,19 +103,16 @@ def _result(row: PairRow, job: Job) -> dict[str, Any]:
 
 def _outcome(row: PairRow, job: Job) -> Outcome:
     source, target = (os.path.join(job.folder, path) for path in (row.source, row.target))
-    try:
-        return attempt(
-            register,
-            source,
-            target,
-            method=job.method,
-            seed=job.seed,
-            source_viewpoint=row.source_viewpoint,
-            target_viewpoint=row.target_viewpoint,
-            max_rotation_deg=row.max_rotation_deg,
-        )
-    except SystemExit as error:  # which would end the worker
-        return FullturnError(f"unexpected SystemExit: {one_line(error)}")
+    return attempt(
+        register,
+        source,
+        target,
+        method=job.method,
+        seed=job.seed,
+        source_viewpoint=row.source_viewpoint,
+        target_viewpoint=row.target_viewpoint,
+        max_rotation_deg=row.max_rotation_deg,
+    )
 
 
 def _named(row: PairRow) -> dict[str, Any]:

@@ -10,12 +10,12 @@ import numpy as np
 from jaxtyping import Float
 
 from fullturn.data.pair import Pair
-from fullturn.errors import one_line
+from fullturn.errors import FullturnError, one_line
 from fullturn.methods.base import Method
-from fullturn.methods.check import run_method
-from fullturn.methods.registry import get
+from fullturn.methods.check import make_method, run_method
 from fullturn.normalize import normalized_clouds
 from fullturn.threads import torch_threads
+from fullturn.workers import attempt
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +44,7 @@ class Predictor:
     def __call__(self, task: tuple[str, Pair]) -> Prediction:
         method, pair = task
         if method not in self._methods:
-            self._methods[method] = get(method)()
+            self._methods[method] = make_method(method)
             predict(self._methods[method], pair, seed=self.seed)
         return predict(self._methods[method], pair, seed=self.seed)
 
@@ -60,21 +60,18 @@ def predict(method: Method, pair: Pair, *, seed: int) -> Prediction:
         pair.source, pair.target, pair.source_viewpoint, pair.target_viewpoint
     )
     cpu, wall = time.process_time(), time.perf_counter()
-    try:
-        estimate = run_method(
-            method,
-            source,
-            target,
-            rng=np.random.default_rng(seed),
-            max_rotation_deg=pair.max_rotation_deg,
-        )
-        failure = None
     # A method is a guest: nothing that it raises may stop the others.
-    except Exception as error:
-        failure = f"{type(error).__name__}: {one_line(error)}"
+    estimate = attempt(
+        run_method,
+        method,
+        source,
+        target,
+        rng=np.random.default_rng(seed),
+        max_rotation_deg=pair.max_rotation_deg,
+    )
     cpu, wall = time.process_time() - cpu, time.perf_counter() - wall
-    if failure is not None:
-        return Prediction(np.eye(4), error=failure, cpu_seconds=cpu, wall_seconds=wall)
+    if isinstance(estimate, FullturnError):
+        return Prediction(np.eye(4), error=one_line(estimate), cpu_seconds=cpu, wall_seconds=wall)
     T, *others = (frame.denormalize(pose.numpy(force=True)) for pose in estimate.T_target_source)
     stated = estimate.success_probability
     probability = None if stated is None else float(stated[0])

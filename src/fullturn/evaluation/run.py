@@ -23,6 +23,7 @@ from fullturn.evaluation.predict import Prediction, Predictor, pair_hash
 from fullturn.evaluation.score import Score, ScoredPair, summarize
 from fullturn.io.atomic import make_folder, write_atomic
 from fullturn.methods.base import Method
+from fullturn.methods.check import make_method
 from fullturn.methods.fingerprint import fingerprint
 from fullturn.methods.registry import get
 from fullturn.workers import Crew
@@ -118,7 +119,7 @@ def _checked_names(sets: Sequence[PairSet], methods: Sequence[str]) -> dict[str,
     names: dict[str, str] = {}
     for method in methods:
         found = get(method)
-        found()  # says now, and not once per pair, that a package is missing
+        make_method(method)  # says now, and not once per pair, that a package is missing
         if found.name in names:
             raise InputError(f"expected different methods, got {found.name} twice; drop one")
         names[found.name] = method

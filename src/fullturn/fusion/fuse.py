@@ -19,7 +19,7 @@ from fullturn.fusion.optimize import gtsam
 from fullturn.fusion.result import FusedEdge, Fusion
 from fullturn.fusion.scans import Scan, check_scans, scan_names
 from fullturn.fusion.settle import settle_groups
-from fullturn.methods.registry import get
+from fullturn.methods.check import make_method
 from fullturn.normalize import Normalization
 from fullturn.threads import torch_threads
 from fullturn.workers import check_workers
@@ -61,7 +61,7 @@ def fuse(
     begin = time.perf_counter()
     gtsam()  # says now, and not after the work, that a package is missing
     whole_number(seed, "seed", least=0)
-    name = get(method)().name
+    name = make_method(method).name
     workers = check_workers(workers)
     if not is_number(min_probability) or not 0.0 < min_probability <= 1.0:
         raise InputError(

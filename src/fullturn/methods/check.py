@@ -3,20 +3,38 @@
 from __future__ import annotations
 
 import math
+import sys
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from fullturn.errors import InputError, is_number
+from fullturn.errors import FullturnError, InputError, is_number, one_line
 from fullturn.geometry.cloud import Cloud
 from fullturn.methods.base import Estimate, Method
 from fullturn.methods.registry import get, names
 
 _RIGID = 1e-6  # how far RᵀR may be from I, per entry
 _ROUNDING = 1e-6  # of probabilities
+
+
+def make_method(name: str) -> Method:
+    """A method by any name that `registry.get` knows.
+
+    Raises:
+        InputError: no such method.
+        DependencyError: the method's package is missing.
+        FullturnError: it cannot be made; what it raised is the cause.
+    """
+    found = get(name)
+    with _failures_named(found, found.name):
+        return found()
 
 
 def run_method(
@@ -31,12 +49,32 @@ def run_method(
 
     Raises:
         InputError: the method returned something else than an estimate.
+        FullturnError: it failed; what it raised is the cause.
     """
     told: dict[str, Any] = {}
     limit = rotation_limit_rad(max_rotation_deg)
     if method.traits.limits_rotation and limit is not None:
         told["max_rotation_rad"] = limit
-    return checked_estimate(method.estimate(source, target, rng=rng, **told), method.name)
+    with _failures_named(type(method), f"{method.name}, estimate()"):
+        estimate = method.estimate(source, target, rng=rng, **told)
+    return checked_estimate(estimate, method.name)
+
+
+@contextmanager
+def _failures_named(method: type[Method], what: str) -> Iterator[None]:
+    """Whatever a method raises becomes one error that says whose it is and where it happened."""
+    try:
+        yield
+    except (FullturnError, MemoryError):
+        raise
+    except (Exception, SystemExit) as error:
+        home = getattr(sys.modules.get(method.__module__), "__file__", None)
+        frames = traceback.extract_tb(error.__traceback__)
+        place = ([f for f in frames if f.filename == home] or frames)[-1]
+        raise FullturnError(
+            f"method {what}: {type(error).__name__}: {one_line(error)[:300]} "
+            f"({Path(place.filename).name}, line {place.lineno})"
+        ) from error
 
 
 def rotation_limit_rad(max_rotation_deg: float | None) -> float | None:
