@@ -82,6 +82,30 @@ def test_a_file_imports_what_lies_beside_it(file: Path, monkeypatch: pytest.Monk
     assert get(f"{file}:Identity").name == "identity"
 
 
+def test_no_file_gets_what_lies_beside_another_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    texts = {
+        "one/mine.py": f"import own_kit{GOOD.replace('from __future__ import annotations', '')}",
+        "one/own_kit/__init__.py": "",
+        "two/mine.py": f"import own_helper{GOOD.replace('from __future__ import annotations', '')}",
+        "two/own_helper.py": "def late():\n    import own_kit.part\n",
+        "two/own_kit.py": "",
+        "three/mine.py": GOOD,
+        "three/own_kit.py": "",
+    }
+    for name, text in texts.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text)
+    get(f"{tmp_path}/one/mine.py:Identity")
+    message = "two/mine.py imports own_kit from beside it, but that is .*one/own_kit/__init__.py of"
+    with pytest.raises(InputError, match=message):
+        get(f"{tmp_path}/two/mine.py:Identity")
+    get(f"{tmp_path}/three/mine.py:Identity")  # imports nothing of that name
+    del sys.modules["own_kit"]
+
+
 def test_workers_find_it_too(file: Path) -> None:
     results = fullturn.register_many([(CLOUD, CLOUD)] * 2, method=f"{file}:Identity", workers=2)
     assert [type(r).__name__ for r in results] == ["Registration"] * 2

@@ -62,7 +62,7 @@ def _closure(method: type[Method], roots: Sequence[str]) -> tuple[set[Path], set
             continue
         source = path.read_bytes()  # as it is: a file may say how it is encoded
         files |= {one for one in weights if one.name.encode() in source}
-        for name in _imports(ast.parse(source), package.split(".") if package else []):
+        for name in imported_names(ast.parse(source), package.split(".") if package else []):
             top = name.partition(".")[0]
             if top in sys.stdlib_module_names:
                 continue
@@ -80,7 +80,7 @@ def _is_installed_file(path: Path) -> bool:
     return not {"site-packages", "dist-packages"}.isdisjoint(path.parts)
 
 
-def _imports(tree: ast.AST, package: Sequence[str]) -> Iterator[str]:
+def imported_names(tree: ast.AST, package: Sequence[str]) -> Iterator[str]:
     """Every name that may be a module: ``from a import b`` gives a and a.b.
 
     `package` is where relative imports start.
@@ -97,7 +97,7 @@ def _imports(tree: ast.AST, package: Sequence[str]) -> Iterator[str]:
         yield name
         yield from (f"{name}.{alias.name}" for alias in tree.names)
     for node in ast.iter_child_nodes(tree):
-        yield from _imports(node, package)
+        yield from imported_names(node, package)
 
 
 def _modules(name: str) -> list[tuple[Path, str]]:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import inspect
 import sys
 from importlib import import_module, util
+from importlib.machinery import PathFinder
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING
@@ -15,6 +17,8 @@ from fullturn.errors import InputError, one_line
 if TYPE_CHECKING:
     from fullturn.methods.base import Method
 
+_folders: set[Path] = set()  # of the files that were run here: imports find what lies in them
+
 
 def own_method(place: str) -> type[Method]:
     """The class at "file.py:Class" or "package.module:Class".
@@ -23,7 +27,8 @@ def own_method(place: str) -> type[Method]:
 
     Raises:
         InputError: no such file, module or class, an error while it is imported, or a class that
-            is not a finished `Method`.
+            is not a finished `Method`; a module beside the file that is called as one beside
+            another file that was run before.
     """
     home, _, name = place.rpartition(":")
     if not home or not name.isidentifier():
@@ -49,6 +54,8 @@ def _from_file(path: Path) -> ModuleType:
     spec = util.spec_from_file_location(name, path)
     if spec is None or spec.loader is None:
         raise InputError(f"method: expected a Python file, got {path}")
+    _check_neighbors(path)
+    _folders.add(path.parent)
     if str(path.parent) not in sys.path:
         sys.path.append(str(path.parent))  # last, so that it hides nothing that is installed
     module = util.module_from_spec(spec)
@@ -60,6 +67,33 @@ def _from_file(path: Path) -> ModuleType:
         del sys.modules[name]
         raise _failed(str(path), error) from error
     return module
+
+
+def _check_neighbors(path: Path) -> None:
+    """A name is one module in a process: no file may get what lies beside another one."""
+    from fullturn.methods.fingerprint import imported_names
+
+    waiting, seen = [path], set()
+    while waiting:
+        try:
+            tree = ast.parse(waiting.pop().read_bytes())
+        except (SyntaxError, ValueError):
+            continue  # running it says more
+        for name in {name.partition(".")[0] for name in imported_names(tree, [])} - seen:
+            seen.add(name)
+            beside = PathFinder.find_spec(name, [str(path.parent)])
+            if beside is None or beside.origin is None:
+                continue
+            found = util.find_spec(name)
+            place = Path(str(found.origin if found else None))
+            others = {folder / part for folder in _folders for part in ("", name)}
+            if str(place) != beside.origin and place.parent in others:
+                raise InputError(
+                    f"method: {path} imports {name} from beside it, but that is {place} of another "
+                    "method in this process; give one of the two another name, or use the methods "
+                    "in processes of their own"
+                )
+            waiting.append(Path(beside.origin))
 
 
 def _from_name(name: str) -> ModuleType:
