@@ -191,3 +191,35 @@ def test_a_header_and_a_count_may_both_come_first(opening: str) -> None:
     assert read(f"{opening}1 2 3\n4 5 6\n").tolist() == [[1, 2, 3], [4, 5, 6]]
     with pytest.raises(ReadError, match="announces 2 points, 1 came"):
         read(f"{opening}1 2 3\n")
+
+
+def test_several_stations_in_one_file() -> None:
+    text = "2\n1 2 3 0\n4 5 6 0\n0\n1 # one\n# of them\n7 8 9 0\n"
+    assert read(text).tolist() == [[1, 2, 3], [4, 5, 6], [7, 8, 9]]
+    with pytest.raises(ReadError, match="announces 5 points, 3 came"):
+        read(text.replace("1 # one", "3"))
+    with pytest.raises(ReadError, match=r"line 2: expected three numbers per line.*, got 1;"):
+        read("3\n1\n4 5 6\n7 8 9\n")
+    with pytest.raises(ReadError, match=r"line 2: .*, got 1;"):  # none was announced before
+        read("1 2 3\n1\n4 5 6\n")
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "cp1252", "latin-1"])
+def test_other_encodings(encoding: str) -> None:
+    text = "# Höhe über 0\nid,x [µm],y [µm],z [µm]\n7,1,2,3\n8,4,5,6\n"
+    for ends in ("\n", "\r\n"):
+        data = text.replace("\n", ends).encode(encoding)
+        assert read_text(data, "a.csv").points.tolist() == [[1, 2, 3], [4, 5, 6]]
+    wide = "\ufeff1 2 3\n".encode("utf-16-be")
+    assert read_text(wide, "a.xyz").points.tolist() == [[1, 2, 3]]
+    dots = "# more …\n1 2 3\n".encode("cp1252")  # which ends a line in latin-1
+    assert read_text(dots, "a.xyz").points.tolist() == [[1, 2, 3]]
+
+
+@pytest.mark.parametrize(
+    "data",
+    [b"\x02\xff 1 2 3\n", b"1 2 3\n\0", "1 2 3\n".encode("utf-16")[:-1], b"\xff\xd8\xff\xe0\0\x10"],
+)
+def test_binary_data_are_no_text(data: bytes) -> None:
+    with pytest.raises(ReadError, match=r"a\.xyz: expected text, found binary data"):
+        read_text(data, "a.xyz")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import io
 import math
 import re
@@ -25,6 +26,7 @@ _WORDS: dict[str | None, re.Pattern[str]] = {
     None: re.compile(r'((?:"[^"]*")+|\S+)'),
     **{mark: re.compile(rf'(?:^|{mark})((?:\s*(?:"[^"]*")+)?[^{mark}]*)') for mark in ",;\t"},
 }
+_CONTROL = re.compile(rb"[\0-\x08\x0e-\x1f]")  # no text holds it
 _BETWEEN = "\x1f"  # ASCII's separator of units: no line of numbers holds it
 
 
@@ -32,7 +34,8 @@ def read_text(data: bytes, name: str) -> Raw:
     """Points from lines of numbers: the columns named x, y and z, or else the first three.
 
     Spaces, tabs, commas or semicolons separate, and words may be quoted; `#` starts a comment, but
-    not inside another column of a table. A header and the number of points may come first; a
+    not inside another column of a table. A header and the number of points may come first, and
+    after so many points another number of more (several stations in one file, as in PTS); a
     comment directly above the data that names every column is a header, too. Names may have a unit
     and say what they are: `X [m]`, `pos_x`, `px`, `Points:0`. Other columns are ignored.
 
@@ -40,14 +43,7 @@ def read_text(data: bytes, name: str) -> Raw:
         ReadError: binary data, a line without three numbers, fewer lines than announced, more than
             three columns and a header that names none of them x, y and z.
     """
-    if b"\0" in data[:4096]:
-        raise ReadError(f"{name}: expected text, found binary data; check the file or its suffix")
-    try:
-        lines = data.decode("utf-8-sig").splitlines()
-    except UnicodeDecodeError as error:
-        raise ReadError(
-            f"{name}: expected UTF-8 text, found other bytes; check the file or its suffix"
-        ) from error
+    lines = _decoded(data, name).splitlines()
     first, header, announced = _opening(lines)
     notes: tuple[str, ...] = ()
     if header is None and _counts_columns(lines, first):
@@ -59,6 +55,8 @@ def read_text(data: bytes, name: str) -> Raw:
     if header is None:
         above = next((line for line in reversed(lines[:start]) if line.strip()), "")
         header = above if above.lstrip().startswith("#") else None
+    if announced is not None:
+        announced += _more_announced(lines, start, announced)
     columns, separator = _columns(header, lines[start], name)
     try:
         points = _numbers(lines[start:], columns, separator)
@@ -70,6 +68,18 @@ def read_text(data: bytes, name: str) -> Raw:
             "the file is truncated or damaged"
         )
     return Raw(points, notes=notes)
+
+
+def _decoded(data: bytes, name: str) -> str:
+    """UTF-16 where its mark comes first, else UTF-8, or what Windows wrote before."""
+    is_wide = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    try:
+        if is_wide or b"\0" not in data[:4096]:
+            return data.decode("utf-16" if is_wide else "utf-8-sig")
+    except UnicodeDecodeError:
+        if not is_wide and not _CONTROL.search(data):
+            return data.decode("cp1252", "replace")  # numbers are the same in all of them
+    raise ReadError(f"{name}: expected text, found binary data; check the file or its suffix")
 
 
 def three_numbers(text: str) -> tuple[float, float, float] | None:
@@ -100,6 +110,21 @@ def _opening(lines: list[str]) -> tuple[int, str | None, int | None]:
             break
         first = at + 1
     return first, header, announced
+
+
+def _more_announced(lines: list[str], start: int, announced: int) -> int:
+    """The sum of further numbers of points, each of which is taken out of the lines.
+
+    A number of points stands alone on the line after the last of those that the one before it
+    announced.
+    """
+    rows = [i for i in range(start, len(lines)) if _holds_more_than_a_comment(lines[i])]
+    at, more = announced, 0
+    while at < len(rows) and (count := _content(lines[rows[at]])).isdecimal():
+        lines[rows[at]] = ""
+        at += 1 + int(count)
+        more += int(count)
+    return more
 
 
 def _counts_columns(lines: list[str], first: int) -> bool:
