@@ -37,6 +37,7 @@ def saved(header: str, separator: str = ",", comments: str = "") -> str:
         ("i points[0] points[1] points[2]", " "),
         ("intensity,Points_m_XYZ:0,Points_m_XYZ:1,Points_m_XYZ:2", ","),
         (",0,1,2", ","),
+        ("label,0,1,2", ","),
         ("label,px,py,pz", ","),
         ("i,pos_x,pos_y,pos_z", ","),
         ("i,Position_X,Position_Y,Position_Z", ","),
@@ -95,6 +96,8 @@ def test_other_names_are_an_error(header: str, separator: str, comments: str) ->
         "# x y z\n",
         "# Format: x, y, z, intensity\n",
         "a title\n",
+        "Scan 3\n",
+        "June 4 1996\n",
         "A title of five words\n",
         "// a comment, and another one\n",
         "% a comment\n%\n% x y z\n",
@@ -122,6 +125,10 @@ def test_otherwise_the_first_three_columns_are_taken(above: str) -> None:
         (",2,3\n4,5,6\n", "line 1: .*, got ,2,3;"),
         ("1,2 # 3,4\n", "line 1: .*, got 1,2 # 3,4;"),
         ("X Y Z\n2\n3\n1 2 3\n", "line 3: .*, got 3;"),
+        ("1.O 2.5 3.5\n4 5 6\n", "line 1: .*, got 1.O 2.5 3.5; correct that line"),
+        ("# x y z i\n2\nnull,2,3,4\n4,5,6,7\n", "line 3: .*, got null,2,3,4;"),
+        ("x y z\n? 2 3\n4 5 6\n", "line 2: .*, got . 2 3;"),
+        ("part1 1 2 3\npart2 4 5 6\n", "line 1: .*, got part1 1 2 3;"),
     ],
 )
 def test_the_line_that_cannot_be_read_is_named(text: str, message: str) -> None:

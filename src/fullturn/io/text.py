@@ -102,14 +102,24 @@ def _opening(lines: list[str]) -> tuple[int, str | None, int | None]:
         words = _split(_content(lines[at]), _separator(lines[at]))
         word = next(filter(None, words), "")
         names = not _is_number(word.replace(",", ".")) or words[:4] == ["", "0", "1", "2"]
+        is_comment = lines[at].lstrip().startswith(("//", "%"))
         if announced is None and len(words) == 1 and word.isdecimal():
             announced = int(word)
-        elif names and (header is None or lines[at].lstrip().startswith(("//", "%"))):
+        elif names and (is_comment or (header is None and not _is_damaged(words, lines, at))):
             header = lines[at]
         else:
             break
         first = at + 1
     return first, header, announced
+
+
+def _is_damaged(words: list[str], lines: list[str], at: int) -> bool:
+    """Whether the words of a line are mostly numbers, as many as in the next one: no header."""
+    following = _next(lines, at + 1)
+    if following is None or {"0", "1", "2"} <= set(words):
+        return False
+    count = len(_split(_content(lines[following]), _separator(lines[following])))
+    return len(words) == count and sum(map(_is_number, words)) > count / 2
 
 
 def _more_announced(lines: list[str], start: int, announced: int) -> int:
