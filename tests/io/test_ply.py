@@ -60,6 +60,29 @@ def test_faces_become_triangle_fans(encoding: str, sides: list[int]) -> None:
     assert {tuple(f) for f in read.faces.tolist()} <= {(0, 1, 2), (0, 2, 3)}
 
 
+@pytest.mark.parametrize("encoding", ["ascii", "binary_little_endian", "binary_big_endian"])
+def test_strips_of_triangles(encoding: str, points: np.ndarray) -> None:
+    strips = [[0, 1, 2, 3, -1, 4, 5, 6, -1, 7, -1], [7, 8, 9]]
+    extra = ("element tristrips 2", "property list int int vertex_indices")
+    if encoding == "ascii":
+        body = "".join(f"{x!r} 7 {y!r} {z!r}\n" for x, y, z in points.tolist()).encode()
+        body += "".join(f"{len(s)} {' '.join(map(str, s))}\n" for s in strips).encode()
+    else:
+        order = "<" if "little" in encoding else ">"
+        body = b"".join(struct.pack(f"{order}fBdf", x, 7, y, z) for x, y, z in points)
+        body += b"".join(struct.pack(f"{order}{len(s) + 1}i", len(s), *s) for s in strips)
+    read = read_ply(header(encoding, len(points), *extra) + body, "a.ply")
+    np.testing.assert_array_equal(read.points, points)
+    assert read.faces is not None
+    assert read.faces.tolist() == [[0, 1, 2], [2, 1, 3], [4, 5, 6], [7, 8, 9]]
+    for empty in ([[0, 1, -1]] * 2, [[]] * 2):
+        lines = "".join(f"{len(s)} {' '.join(map(str, s))}\n" for s in empty).encode()
+        vertices = "0 0 0 0\n" * 50
+        none = read_ply(header("ascii", 50, *extra) + vertices.encode() + lines, "a.ply")
+        assert none.faces is not None
+        assert len(none.faces) == 0
+
+
 @pytest.mark.parametrize("encoding", ["binary", "ascii"])
 def test_a_mesh_reads_as_trimesh_reads_it(encoding: str) -> None:
     sphere = trimesh.creation.icosphere(subdivisions=1)

@@ -49,7 +49,7 @@ class _Element:
 
 
 def read_ply(data: bytes, name: str) -> Raw:
-    """Vertices of a PLY file, and its faces (polygons as triangle fans) if it has any.
+    """Vertices of a PLY file, and its faces (polygons as triangle fans, strips) if it has any.
 
     Raises:
         ReadError: not a PLY file, a damaged header, fewer data than the header promises.
@@ -72,10 +72,13 @@ def read_ply(data: bytes, name: str) -> Raw:
     points = np.column_stack([vertex[axis] for axis in "xyz"])
     if points.dtype.kind not in "fiu":
         raise ReadError(f"{name}: expected numbers for x, y and z, found lists; save it again")
-    face = columns.get("face", {})
-    corners = face.get("vertex_indices", face.get("vertex_index"))
-    faces = None if corners is None or len(corners) == 0 else _fans(corners)
-    return Raw(points, faces)
+    triangles = []
+    for kind, split in (("face", _fans), ("tristrips", _strips)):
+        lists = columns.get(kind, {})
+        corners = lists.get("vertex_indices", lists.get("vertex_index", ()))
+        if len(corners):
+            triangles.append(split(corners))
+    return Raw(points, np.concatenate(triangles) if triangles else None)
 
 
 def ply_bytes(points: np.ndarray) -> bytes:
@@ -242,6 +245,17 @@ def _fans(corners: np.ndarray) -> np.ndarray:
     for polygon in corners:
         by_length.setdefault(len(polygon), []).append(polygon)
     return np.concatenate([_fan(np.stack(p).astype(np.int64)) for p in by_length.values()])
+
+
+def _strips(rows: np.ndarray) -> np.ndarray:
+    """Triangles of strips, in which each vertex makes one with the two before it; −1 ends one."""
+    strips = np.concatenate([np.append(row, -1) for row in rows]).astype(np.int64)
+    places = np.arange(len(strips))
+    begin = np.maximum.accumulate(np.where(strips < 0, places + 1, 0))
+    triangles = np.stack([strips[:-2], strips[1:-1], strips[2:]], axis=1)
+    turned = (places - begin)[:-2] % 2 == 1  # every other one goes the other way round
+    triangles[turned] = triangles[turned][:, [1, 0, 2]]
+    return triangles[(triangles >= 0).all(axis=1)]
 
 
 def _fan(polygons: np.ndarray) -> np.ndarray:
