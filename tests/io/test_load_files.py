@@ -341,6 +341,15 @@ def test_off_that_does_not_say_so_is_refused(tmp_path: Path) -> None:
         load_cloud(tmp_path / "a.off")
 
 
+def test_points_beside_a_mesh_are_left_out_with_a_note(tmp_path: Path) -> None:
+    path = tmp_path / "a.glb"
+    scene = trimesh.Scene([trimesh.creation.box(), trimesh.PointCloud(POINTS + 10)])
+    path.write_bytes(scene.export(file_type="glb"))
+    cloud = load_cloud(path, samples=50)
+    assert np.abs(cloud.points).max() <= 0.5
+    assert f"{path}: left out points, lines or fans of triangles (1 of 2 parts)" in cloud.notes
+
+
 def test_a_glb_file_without_a_readable_mesh_says_what_to_do(tmp_path: Path) -> None:
     path = tmp_path / "a.glb"
     path.write_bytes(trimesh.Scene(trimesh.PointCloud(POINTS)).export(file_type="glb"))

@@ -14,6 +14,8 @@ import numpy as np
 from fullturn.errors import InputError, ReadError, one_line
 from fullturn.io.raw import Raw
 
+_TRIANGLES = (4, 5)  # modes of GLB: one by one, or in strips
+
 
 def read_mesh(data: bytes, suffix: str, name: str) -> Raw:
     """Vertices and triangles of an OBJ, STL, OFF or GLB file, scene transforms applied.
@@ -44,7 +46,8 @@ def read_mesh(data: bytes, suffix: str, name: str) -> Raw:
                 process=False,
                 skip_materials=True,
             )
-            fractions = suffix == ".glb" and _holds_fractions(data)
+            parts = _glb_parts(data) if suffix == ".glb" else []
+            fractions = any(is_fraction for _, is_fraction in parts)
             vertices = np.array(loaded.vertices, dtype=np.float64).reshape(-1, 3)
             faces = np.array(loaded.faces, dtype=np.int64).reshape(-1, 3)
     # trimesh lets through whatever a damaged file provokes: KeyError, struct.error, JSON errors...
@@ -73,7 +76,9 @@ def read_mesh(data: bytes, suffix: str, name: str) -> Raw:
             f"{name}: expected coordinates as they are, found whole numbers that stand for "
             "fractions (KHR_mesh_quantization, normalized); save it without quantization"
         )
-    return Raw(vertices, faces)
+    left_out = sum(mode not in _TRIANGLES for mode, _ in parts)
+    note = f"{name}: left out points, lines or fans of triangles ({left_out} of {len(parts)} parts)"
+    return Raw(vertices, faces, notes=(note,) if left_out else ())
 
 
 def sample_surface(
@@ -118,12 +123,20 @@ def sample_surface(
     return points, int((~finite).sum())
 
 
-def _holds_fractions(data: bytes) -> bool:
-    """Whether a GLB file's positions are normalized whole numbers, which trimesh doesn't divide."""
+def _glb_parts(data: bytes) -> list[tuple[int, bool]]:
+    """The mode of each part of a GLB file, and whether its positions are normalized whole numbers.
+
+    trimesh doesn't divide those, and leaves out parts of some modes.
+    """
     tree = json.loads(data[20 : 20 + int.from_bytes(data[12:16], "little")])
     parts = [part for mesh in tree.get("meshes", ()) for part in mesh["primitives"]]
-    positions = {part["attributes"]["POSITION"] for part in parts}
-    return any(tree["accessors"][position].get("normalized") for position in positions)
+    return [
+        (
+            part.get("mode", _TRIANGLES[0]),
+            bool(tree["accessors"][part["attributes"]["POSITION"]].get("normalized")),
+        )
+        for part in parts
+    ]
 
 
 def _plain_obj(data: bytes) -> bytes:
