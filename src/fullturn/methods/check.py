@@ -24,7 +24,7 @@ _RIGID = 1e-6  # how far RᵀR may be from I, per entry
 _ROUNDING = 1e-6  # of probabilities
 
 
-def make_method(name: str) -> Method:
+def make_method(name: Any) -> Method:
     """A method by any name that `registry.get` knows.
 
     Raises:
