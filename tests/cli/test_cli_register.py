@@ -114,6 +114,17 @@ def test_report_and_figure(files: list[str], tmp_path: Path) -> None:
     assert call("register", *files, "--report", report, "--figure", figure)[0] == 0
     assert "source.ply" in report.read_text(encoding="utf-8")
     assert figure.read_bytes().startswith(b"\x89PNG")
+    assert call("register", *files, "--figure", tmp_path / "a.pdf")[0] == 0
+
+
+@pytest.mark.parametrize("name", ["a.tiff", "a"])
+def test_a_picture_of_another_kind_is_refused_before_the_work(
+    name: str, files: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("fullturn.api.register", no_work)
+    code, _, err = call("register", *files, "--figure", tmp_path / name)
+    assert code == 1
+    assert "expected a file name that ends in one of .png, .pdf, .svg, .jpg, .jpeg, found" in err
 
 
 @pytest.mark.parametrize(

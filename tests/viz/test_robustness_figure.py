@@ -126,7 +126,7 @@ class TestWithMatplotlib:
 
     def test_errors_leave_no_file(self, panels, tmp_path):
         with pytest.raises(WriteError, match="svg"):
-            save_robustness(tmp_path / "a.jpeg", panels)
+            save_robustness(tmp_path / "a.bmp", panels)
         with pytest.raises(InputError, match="x, value, low, high"):
             save_robustness(tmp_path / "a.png", panels | {"unrelated": {"RRI": np.zeros(3)}})
         del panels["se3"]

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable
 from pathlib import Path
 
-PICTURE_SUFFIXES = (".png",)
+from fullturn.viz.canvas import METADATA
+
+PICTURE_SUFFIXES = tuple(METADATA)
 
 
 def check_outputs(

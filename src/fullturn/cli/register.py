@@ -32,7 +32,8 @@ def register(
         Path | None, typer.Option(help="Write a report: one self-contained .html file.")
     ] = None,
     figure: Annotated[
-        Path | None, typer.Option(help="Draw the clouds before and after: .png.")
+        Path | None,
+        typer.Option(help="Draw the clouds before and after: .png, .pdf, .svg or .jpg."),
     ] = None,
     method: Annotated[str, typer.Option(help="See `fullturn methods`.")] = "auto",
     seed: Annotated[int, typer.Option(min=0, help="The same seed gives the same result.")] = 0,

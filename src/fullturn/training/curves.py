@@ -21,7 +21,7 @@ _BINS = 300  # as many means stand for all steps of a long run
 
 
 def save_loss_curves(path: Path, out: Path, *, title: str) -> None:
-    """Draw the logs of the run folder `out`; the suffix of `path` chooses PNG, PDF or SVG.
+    """Draw the logs of the run folder `out`; the suffix of `path` chooses PNG, PDF, SVG or JPEG.
 
     Raises:
         DependencyError: matplotlib is missing.

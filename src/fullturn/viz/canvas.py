@@ -9,6 +9,15 @@ from fullturn.errors import DependencyError
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+# What a figure's suffix may be. No date: the same input gives the same bytes.
+METADATA: dict[str, dict[str, str | None] | None] = {
+    ".png": {"Software": "fullturn"},
+    ".pdf": {"Creator": "fullturn", "CreationDate": None},
+    ".svg": {"Creator": "fullturn", "Date": None},
+    ".jpg": None,
+    ".jpeg": None,
+}
+
 
 def check_installed() -> None:
     """Say what is missing, before any work.

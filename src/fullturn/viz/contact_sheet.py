@@ -30,7 +30,7 @@ def save_contact_sheet(
     focals: Sequence[float],
     labels: Sequence[str],
 ) -> None:
-    """Write the picture of `draw_contact_sheet`; the suffix chooses PNG, PDF or SVG.
+    """Write the picture of `draw_contact_sheet`; the suffix chooses PNG, PDF, SVG or JPEG.
 
     Raises:
         DependencyError: matplotlib is missing.

@@ -108,7 +108,7 @@ def draw_risk_coverage(
 
 
 def save_curves(path: str | PathLike[str], figure: Figure, *, dpi: int = 130) -> None:
-    """Write a figure; the suffix chooses PNG, PDF or SVG, and equal figures give equal bytes.
+    """Write a figure; the suffix chooses PNG, PDF, SVG or JPEG, and equal figures give equal bytes.
 
     Raises:
         WriteError: another suffix, or the place cannot be written.

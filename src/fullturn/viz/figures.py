@@ -9,7 +9,7 @@ import numpy as np
 
 from fullturn.geometry.motion import move, rotation_angle_deg
 from fullturn.io.atomic import check_output, write_atomic
-from fullturn.viz.canvas import new_figure
+from fullturn.viz.canvas import METADATA, new_figure
 from fullturn.viz.scene import make_scene, viewing_axes
 from fullturn.viz.tables import probability
 
@@ -26,12 +26,6 @@ if TYPE_CHECKING:
 MAX_POINTS = 6_000  # per cloud
 SOURCE, TARGET = "#e08a00", "#2f73c8"  # told apart with any color vision
 OVERLAP = ("#0a8f80", "#efc75e", "#c3c9cf")  # at the partner, halfway, far
-# No date: the same input gives the same bytes.
-METADATA: dict[str, dict[str, str | None]] = {
-    ".png": {"Software": "fullturn"},
-    ".pdf": {"Creator": "fullturn", "CreationDate": None},
-    ".svg": {"Creator": "fullturn", "Date": None},
-}
 INK, MUTED = "#1b1f24", "#626b76"
 
 
@@ -45,7 +39,7 @@ def save_figure(
 ) -> None:
     """Write a picture with three panels: before, after, and the distance to the nearest partner.
 
-    The suffix chooses PNG, PDF or SVG; `dpi` is the resolution of a PNG.
+    The suffix chooses PNG, PDF, SVG or JPEG; `dpi` is the resolution of a PNG or JPEG.
 
     Raises:
         DependencyError: matplotlib is missing.
@@ -58,16 +52,19 @@ def save_figure(
 def write_figure(path: str | PathLike[str], draw: Callable[[], Figure], *, dpi: int) -> None:
     """Write what `draw` returns; equal figures give equal bytes.
 
-    The suffix chooses PNG, PDF or SVG, and is checked before anything is drawn; `dpi` is the
-    resolution of a PNG.
+    The suffix chooses PNG, PDF, SVG or JPEG, and is checked before anything is drawn; `dpi` is the
+    resolution of a PNG or JPEG.
 
     Raises:
         WriteError: another suffix, or the place cannot be written; what was there before is kept.
     """
     suffix = check_output(path, tuple(METADATA)).suffix.lower()
     figure = draw()
+    from matplotlib import rc_context
+
     buffer = io.BytesIO()
-    figure.savefig(buffer, format=suffix[1:], dpi=dpi, metadata=METADATA[suffix])
+    with rc_context({"svg.hashsalt": "fullturn"}):  # or the names in an SVG are random
+        figure.savefig(buffer, format=suffix[1:], dpi=dpi, metadata=METADATA[suffix])
     write_atomic(path, buffer.getvalue())
 
 

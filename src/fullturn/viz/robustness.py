@@ -71,7 +71,7 @@ NOISE = (
 
 
 def save_robustness(path: str | PathLike[str], panels: Panels, *, dpi: int = 130) -> None:
-    """Write the picture of `draw_robustness`; the suffix chooses PNG, PDF or SVG.
+    """Write the picture of `draw_robustness`; the suffix chooses PNG, PDF, SVG or JPEG.
 
     Raises:
         DependencyError: matplotlib is missing.
