@@ -173,6 +173,9 @@ def test_known_errors_are_one_line_and_exit_with_1(
         ["register", "a.ply", "b.ply", "--max-rotation", "-45"],
         ["register", "a.ply", "b.ply", "--max-rotation", "nan"],
         ["register", "a.ply", "b.ply", "--max-rotation", "x"],
+        ["register", "a.ply", ""],
+        ["demo", "--out", "", "--method", "icp-point"],
+        ["demo", "--out=", "--method", "icp-point"],
     ],
 )
 def test_wrong_usage_exits_with_2(arguments: list[str]) -> None:

@@ -11,7 +11,7 @@ import typer
 from typer.testing import CliRunner
 
 from fullturn.cli.demo import demo
-from fullturn.errors import WriteError
+from fullturn.errors import InputError, WriteError
 from fullturn.evaluation.metrics import rotation_error_deg
 from fullturn.io import load_cloud, read_transform
 
@@ -84,6 +84,13 @@ def test_a_folder_may_hold_an_earlier_demo_but_no_other_files_of_its_names(run, 
     with pytest.raises(WriteError, match=r"found source\.ply, report\.html, which no earlier run"):
         run("--out", str(tmp_path / "mine"), *QUICK)
     assert {path.read_text() for path in (tmp_path / "mine").iterdir()} == {"mine"}
+
+
+@pytest.mark.parametrize("method", ["nope", "nowhere.py"])
+def test_an_unknown_method_leaves_no_folder(method, run, tmp_path):
+    with pytest.raises(InputError, match=method):
+        run("--out", str(tmp_path / "new"), "--method", method)
+    assert not (tmp_path / "new").exists()
 
 
 def test_an_unusable_folder_is_named(run, tmp_path):

@@ -61,6 +61,7 @@ def test_an_unknown_study_lists_the_known_ones(run, tmp_path):
 def test_what_cannot_be_used_is_named(run, tmp_path):
     with pytest.raises(InputError, match="procedural:none"):
         run("robustness", "--shapes", "procedural:none", "--out", str(tmp_path / "out"))
+    assert not (tmp_path / "out").exists()
     with pytest.raises(InputError, match="at most the 2048 points of a shape, got 3000"):
         run("robustness", *QUICK, "--neighbors", "3000", "--out", str(tmp_path / "out"))
     (tmp_path / "file").write_text("")

@@ -238,6 +238,16 @@ def test_no_file_at_all(tmp_path: Path) -> None:
         load_cloud(tmp_path / "pipe.ply")
 
 
+@pytest.mark.skipif(os.sep == "\\", reason="where both separate")
+def test_a_path_of_windows_says_what_to_do(tmp_path: Path) -> None:
+    (tmp_path / "scans").mkdir()
+    np.save(tmp_path / "scans" / "a.npy", POINTS)
+    with pytest.raises(ReadError, match=r"there is none; write / for \\, and it is found"):
+        load_cloud(f"{tmp_path}/scans\\a.npy")
+    with pytest.raises(ReadError, match="there is none; check the path"):
+        load_cloud(f"{tmp_path}/scans\\b.npy")
+
+
 def test_unknown_suffix_lists_the_known_ones(tmp_path: Path) -> None:
     for name in ("a.docx", "a"):
         (tmp_path / name).write_bytes(b"x")

@@ -30,7 +30,9 @@ def demo(
     another demo, but over nothing else.
     """
     from fullturn.cli.outputs import check_folder
+    from fullturn.methods.check import make_method
 
+    make_method(method)
     check_folder(out, _FILES, earlier=_FILES if _is_of_demo(out / _REPORT) else ())
 
     import numpy as np

@@ -39,6 +39,10 @@ class _Command(TyperCommand):
         spread: list[str] = []
         option = None  # the repeatable one that the next word may belong to
         for word in arguments:
+            # A shell's variable that isn't set? As a path, it would be the current folder.
+            if not word or (word.startswith("--") and word.endswith("=")):
+                last = word or next(reversed(spread), self.name)
+                raise typer.BadParameter(f"expected a value after {last}, got an empty one")
             if word.startswith("-"):
                 option = word if word in repeatable else None
             elif option is not None and spread[-1] != option:

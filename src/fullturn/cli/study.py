@@ -46,10 +46,9 @@ def study(
     from fullturn.progress import progress_bar
     from fullturn.viz.robustness import save_robustness
 
-    make_folder(out)
-
     source = open_shapes(shapes)
     config = StudyConfig(neighbors=neighbors, jitter=jitter)
+    make_folder(out)
     total = min(count, len(source))
     with progress_bar("shapes", total) as advance:
         rows = study_robustness(

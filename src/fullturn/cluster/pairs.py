@@ -146,7 +146,7 @@ def _cells(path: Path, content: bytes) -> Iterator[tuple[int, list[str]]]:
     except (UnicodeDecodeError, csv.Error) as error:
         raise ReadError(
             f"{one_line(path)}, line {reader.line_num + 1}: expected comma-separated values in "
-            f"UTF-8, cannot read them ({one_line(error)}); save the table as CSV"
+            f"UTF-8, cannot read them ({one_line(error)}); save the table as CSV UTF-8"
         ) from error
     if empty:
         raise ReadError(
