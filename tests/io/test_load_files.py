@@ -344,6 +344,15 @@ def test_stl_of_many_forms(data: bytes, same: bytes, tmp_path: Path) -> None:
     np.testing.assert_array_equal(found, expected)
 
 
+def test_stl_that_is_too_far_out_for_its_precision_is_named(tmp_path: Path) -> None:
+    box = trimesh.creation.box().apply_translation([1e7, 0, 0])
+    (tmp_path / "a.stl").write_bytes(box.export(file_type="stl"))
+    with pytest.raises(InputError, match=r"a\.stl: expected points that span .* in steps of up to"):
+        load_cloud(tmp_path / "a.stl")
+    (tmp_path / "a.stl").write_text(box.export(file_type="stl_ascii"))
+    assert len(load_cloud(tmp_path / "a.stl", samples=50).points) == 50
+
+
 def test_off_that_does_not_say_so_is_refused(tmp_path: Path) -> None:
     # Read one number too far, it would be a cloud: 20 vertices and no faces.
     (tmp_path / "a.off").write_text("40 20 0\n" + rows(" ") + "3 0 1 2\n" * 20)

@@ -136,7 +136,7 @@ def _cells(path: Path, content: bytes) -> Iterator[tuple[int, list[str]]]:
     """The line number and the stripped cells of each record, the header first."""
     # A byte order mark is what spreadsheets begin a file with.
     stream = io.TextIOWrapper(io.BytesIO(content), encoding="utf-8-sig", newline="")
-    reader = csv.reader(stream, strict=True)
+    reader = csv.reader(stream, strict=True, skipinitialspace=True)
     empty = True
     try:
         for record in reader:
@@ -146,7 +146,7 @@ def _cells(path: Path, content: bytes) -> Iterator[tuple[int, list[str]]]:
     except (UnicodeDecodeError, csv.Error) as error:
         raise ReadError(
             f"{one_line(path)}, line {reader.line_num + 1}: expected comma-separated values in "
-            f"UTF-8, cannot read them ({one_line(error)}); save the table as CSV UTF-8"
+            f"UTF-8, cannot read them ({one_line(error)}); save the table as CSV in UTF-8"
         ) from error
     if empty:
         raise ReadError(

@@ -48,7 +48,9 @@ def read_mesh(data: bytes, suffix: str, name: str) -> Raw:
             )
             parts = _glb_parts(data) if suffix == ".glb" else []
             fractions = any(is_fraction for _, is_fraction in parts)
-            vertices = np.array(loaded.vertices, dtype=np.float64).reshape(-1, 3)
+            is_single = suffix == ".stl" and len(data) == _stl_size(data)
+            precision = np.float32 if is_single else np.float64
+            vertices = np.array(loaded.vertices, dtype=precision).reshape(-1, 3)
             faces = np.array(loaded.faces, dtype=np.int64).reshape(-1, 3)
     # trimesh lets through whatever a damaged file provokes: KeyError, struct.error, JSON errors...
     except Exception as error:
@@ -147,8 +149,8 @@ def _plain_obj(data: bytes) -> bytes:
 
 def _whole_stl(data: bytes, name: str) -> bytes:
     """The file without what follows the last triangle of a binary one, checked for its length."""
-    # Binary STL says its own length; trimesh returns an empty mesh where the two differ.
-    size = 84 + 50 * int.from_bytes(data[80:84], "little")
+    # trimesh returns an empty mesh where the two differ.
+    size = _stl_size(data)
     text = data[:4096].lower()
     if text.lstrip().startswith(b"solid") and b"facet" in text and len(data) != size:
         if b"endsolid" not in data.rstrip()[-1024:].lower():
@@ -160,6 +162,11 @@ def _whole_stl(data: bytes, name: str) -> bytes:
             "it is truncated or of another kind"
         )
     return data[:size]
+
+
+def _stl_size(data: bytes) -> int:
+    """The length that a binary STL file says it has."""
+    return 84 + 50 * int.from_bytes(data[80:84], "little")
 
 
 def _cloud(points: np.ndarray, name: str) -> Raw:
