@@ -75,8 +75,8 @@ def read_ply(data: bytes, name: str) -> Raw:
     triangles = []
     for kind, split in (("face", _fans), ("tristrips", _strips)):
         lists = columns.get(kind, {})
-        corners = lists.get("vertex_indices", lists.get("vertex_index", ()))
-        if len(corners):
+        corners = lists.get("vertex_indices", lists.get("vertex_index"))
+        if corners is not None and len(corners):
             triangles.append(split(corners))
     return Raw(points, np.concatenate(triangles) if triangles else None)
 

@@ -73,7 +73,7 @@ def _check_neighbors(path: Path) -> None:
     """A name is one module in a process: no file may get what lies beside another one."""
     from fullturn.methods.fingerprint import imported_names
 
-    waiting, seen = [path], set()
+    waiting, seen = [path], set[str]()
     while waiting:
         try:
             tree = ast.parse(waiting.pop().read_bytes())
