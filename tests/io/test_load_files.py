@@ -12,7 +12,7 @@ import pytest
 
 from fullturn.errors import FullturnError, InputError, ReadError
 from fullturn.io import load_cloud, save_cloud
-from fullturn.io.load import SUFFIXES
+from fullturn.io.load import SUFFIXES, read_raw
 
 trimesh = pytest.importorskip("trimesh")
 POINTS = np.random.default_rng(0).normal(size=(40, 3))
@@ -358,6 +358,23 @@ def test_off_that_does_not_say_so_is_refused(tmp_path: Path) -> None:
     (tmp_path / "a.off").write_text("40 20 0\n" + rows(" ") + "3 0 1 2\n" * 20)
     with pytest.raises(ReadError, match="expected OFF and the numbers"):
         load_cloud(tmp_path / "a.off")
+
+
+@pytest.mark.parametrize("corner", ["{}", "{}/1", "{}//-1", "{}/-1/-1"])
+def test_faces_of_obj_may_count_vertices_backwards(corner: str, tmp_path: Path) -> None:
+    text = ""
+    for x in (0, 5):
+        text += f"v {x} 0 0\nv {x + 1} 0 0\nv {x} 1 0\nvt 0 0\nvn 0 0 1\n"
+        text += f"f {corner.format(-3)} {corner.format(-2)} \\\n{corner.format(-1)}\n"
+    for first in (1, "-6"):  # an absolute one between them
+        (tmp_path / "a.obj").write_text(f"{text}f {first} 2 -1\n")
+        faces = read_raw(tmp_path / "a.obj").faces
+        assert faces is not None
+        assert {tuple(face) for face in faces.tolist()} == {(0, 1, 2), (3, 4, 5), (0, 1, 5)}
+    for none in ("-9 -1 -2", "0 1 2"):
+        (tmp_path / "a.obj").write_text(f"{text}f {none}\n")
+        with pytest.raises(ReadError, match="damaged"):
+            load_cloud(tmp_path / "a.obj")
 
 
 def test_points_beside_a_mesh_are_left_out_with_a_note(tmp_path: Path) -> None:

@@ -142,9 +142,27 @@ def _glb_parts(data: bytes) -> list[tuple[int, bool]]:
 
 
 def _plain_obj(data: bytes) -> bytes:
-    """Without what trimesh stumbles over: a mark of UTF-8, tabs, old ends of lines, comments."""
+    """Without what trimesh stumbles over: a mark of UTF-8, tabs, old ends of lines, comments, and
+    vertices of faces that count backwards from there, which it counts from the end of the file.
+    """
     data = data.removeprefix(b"\xef\xbb\xbf").replace(b"\t", b" ")
-    return re.sub(rb"#[^\n]*", b"", data.replace(b"\r\n", b"\n").replace(b"\r", b"\n"))
+    data = re.sub(rb"#[^\n]*", b"", data.replace(b"\r\n", b"\n").replace(b"\r", b"\n"))
+    if re.search(rb"^ *f.* (-|0\b)", data, re.MULTILINE) is None:
+        return data
+    lines, count = data.replace(b"\\\n", b" ").split(b"\n"), 0
+
+    def forwards(corner: re.Match[bytes]) -> bytes:
+        number = int(corner[1])
+        if number < 0:
+            number += count + 1
+        return b" %d" % (number if number > 0 else len(data))  # for trimesh, 0 is the last one
+
+    for at, line in enumerate(lines):
+        kind = line.split(maxsplit=1)[:1]
+        count += kind == [b"v"]
+        if kind == [b"f"]:
+            lines[at] = re.sub(rb" +(-?\d+)\S*", forwards, line)
+    return b"\n".join(lines)
 
 
 def _whole_stl(data: bytes, name: str) -> bytes:
