@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
+import torch
 
 from fullturn.errors import InputError
 from fullturn.io import load_cloud
+from fullturn.io.check import as_viewpoint
 
 RNG = np.random.default_rng(0)
 LINE = RNG.normal(size=(200, 1)) * np.array([[0.3, -0.5, 0.81]])
@@ -64,3 +68,12 @@ def test_stray_points_make_nothing_a_line_and_no_line_a_shape(far: float, first:
 
 def test_a_stray_point_of_single_precision_is_no_coarse_cloud() -> None:
     load_cloud(np.vstack([PLANE, [[3e38, 0.0, 0.0]]]).astype("f4"))
+
+
+@pytest.mark.parametrize("kind", [tuple, np.array, torch.tensor])
+def test_a_viewpoint_may_be_of_any_kind_and_is_copied(kind: Callable[..., object]) -> None:
+    given = kind([0.0, 1.0, 2.0])
+    place = as_viewpoint(given, "viewpoint", frame="scene's")
+    assert place is not None
+    place += 1.0
+    assert np.asarray(given).tolist() == [0.0, 1.0, 2.0]

@@ -32,7 +32,7 @@ def demo(
     from fullturn.cli.outputs import check_folder
     from fullturn.methods.check import make_method
 
-    make_method(method)
+    make_method(method)  # says now, and not beside an empty folder, that there is none
     check_folder(out, _FILES, earlier=_FILES if _is_of_demo(out / _REPORT) else ())
 
     import numpy as np

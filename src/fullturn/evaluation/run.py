@@ -118,8 +118,7 @@ def _checked_names(sets: Sequence[PairSet], methods: Sequence[str]) -> dict[str,
         )
     names: dict[str, str] = {}
     for method in methods:
-        found = get(method)
-        make_method(method)  # says now, and not once per pair, that a package is missing
+        found = make_method(method)  # says now, and not once per pair, that a package is missing
         if found.name in names:
             raise InputError(f"expected different methods, got {found.name} twice; drop one")
         names[found.name] = method

@@ -42,7 +42,7 @@ def as_viewpoint(viewpoint: object, name: str, *, frame: str) -> np.ndarray | No
     if viewpoint is None:
         return None
     try:
-        place = np.array(viewpoint, dtype=np.float64)
+        place = np.asarray(viewpoint, dtype=np.float64).copy()
     except (ValueError, TypeError, RuntimeError) as error:
         raise InputError(f"{name}: expected three numbers, got {viewpoint!r:.80}") from error
     if place.shape != (3,) or not np.isfinite(place).all():

@@ -91,8 +91,8 @@ def read_raw(path: str | os.PathLike[str]) -> Raw:
     name = one_line(place)
     suffix = place.suffix.lower()
     if not _exists(place, name):
-        is_of_windows = "\\" in name and Path(str(place).replace("\\", "/")).is_file()
-        advice = "write / for \\, and it is found" if is_of_windows else "check the path"
+        from_windows = "\\" in name and Path(str(place).replace("\\", "/")).is_file()
+        advice = "write / for \\, and it is found" if from_windows else "check the path"
         raise ReadError(f"{name}: expected a file, there is none; {advice}")
     if not place.is_file():
         kind = "a folder" if place.is_dir() else "no regular file"
