@@ -71,6 +71,8 @@ def test_viewpoints_are_read_from_a_file(files: list[str], tmp_path: Path) -> No
     options = ["--out", tmp_path / "m.xyz", "--method", "icp-point", "--workers", 1]
     eyes.write_text("0 0 5\n-\n\n1, 2, 3\n")
     assert call(*files, *options, "--viewpoints", eyes)[0] == 0
+    eyes.write_text(eyes.read_text(encoding="utf-8"), encoding="utf-16")
+    assert call(*files, *options, "--viewpoints", eyes)[0] == 0
     for text, message in (
         ("0 0 5\n", "a line for each of 3 scans, got 1"),
         ("0 0 5\n-\n1 2\n", "line 3: expected three numbers"),

@@ -51,11 +51,12 @@ def test_parts_hold_every_row_once_in_order(count: int, size: int, tmp_path: Pat
 
 
 def test_the_digest_is_of_what_the_rows_say(tmp_path: Path) -> None:
-    def digest(text: str) -> str:
+    def digest(text: str | bytes) -> str:
         return read_pairs(table(tmp_path, text), method=Consensus).digest
 
     first = digest("source,target\na,b\nc,d\n")
     assert digest('target,source,more\r\n"b",a,1\r\nd, c ,2') == first
+    assert digest("source,target\na,b\nc,d\n".encode("utf-16")) == first
     others = ["a,b\nc,e\n", "c,d\na,b\n", "a,b\n", "a,b\nc,d\nc,d\n"]
     assert first not in {digest("source,target\n" + text) for text in others}
 

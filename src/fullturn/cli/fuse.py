@@ -113,10 +113,11 @@ def _of_group(out: Path, number: int) -> Path:
 def _read_viewpoints(path: Path, count: int) -> list[tuple[float, ...] | None]:
     """One place for each of `count` lines that aren't empty, None for one that is a hyphen."""
     from fullturn.errors import ReadError
-    from fullturn.io.text import three_numbers
+    from fullturn.io.text import encoding_of, three_numbers
 
     try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
+        data = path.read_bytes()
+        lines = data.decode(encoding_of(data)).splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise ReadError(f"cannot read the viewpoints {path}: {error}; check the file") from error
     places: list[tuple[float, ...] | None] = []

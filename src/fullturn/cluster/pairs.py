@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fullturn.errors import InputError, ReadError, one_line
-from fullturn.io.text import three_numbers
+from fullturn.io.text import encoding_of, three_numbers
 from fullturn.methods.check import check_max_rotation
 
 if TYPE_CHECKING:
@@ -135,7 +135,7 @@ def _rows(path: Path, content: bytes, method: type[Method] | None) -> Iterator[P
 def _cells(path: Path, content: bytes) -> Iterator[tuple[int, list[str]]]:
     """The line number and the stripped cells of each record, the header first."""
     # A byte order mark is what spreadsheets begin a file with.
-    stream = io.TextIOWrapper(io.BytesIO(content), encoding="utf-8-sig", newline="")
+    stream = io.TextIOWrapper(io.BytesIO(content), encoding=encoding_of(content), newline="")
     reader = csv.reader(stream, strict=True, skipinitialspace=True)
     empty = True
     try:

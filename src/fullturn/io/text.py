@@ -70,15 +70,20 @@ def read_text(data: bytes, name: str) -> Raw:
     return Raw(points, notes=notes)
 
 
-def _decoded(data: bytes, name: str) -> str:
-    """UTF-16 where its mark comes first, else UTF-8, or what Windows wrote before."""
+def encoding_of(data: bytes) -> str:
+    """UTF-16 where its mark comes first, as PowerShell writes it, or else UTF-8."""
     is_wide = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    return "utf-16" if is_wide else "utf-8-sig"
+
+
+def _decoded(data: bytes, name: str) -> str:
+    encoding = encoding_of(data)
     try:
-        if is_wide or b"\0" not in data[:4096]:
-            return data.decode("utf-16" if is_wide else "utf-8-sig")
+        if encoding == "utf-16" or b"\0" not in data[:4096]:
+            return data.decode(encoding)
     except UnicodeDecodeError:
-        if not is_wide and not _CONTROL.search(data):
-            return data.decode("cp1252", "replace")  # numbers are the same in all of them
+        if encoding != "utf-16" and not _CONTROL.search(data):
+            return data.decode("cp1252", "replace")  # Windows' older one; numbers are the same
     raise ReadError(f"{name}: expected text, found binary data; check the file or its suffix")
 
 
