@@ -117,8 +117,10 @@ def test_unreadable_packs_are_named(tmp_path: Path) -> None:
 def test_a_mesh_that_cannot_be_read_is_named_and_hidden_files_are_none(tmp_path: Path) -> None:
     box((1, 1, 1)).export(tmp_path / "cube.obj")
     (tmp_path / "._cube.obj").write_bytes(b"\x00\x05\x16\x07")
+    (tmp_path / "back.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf -3 -2 -1\nv 5 5 5\n")
     (tmp_path / "torn.ply").write_bytes(b"ply\nformat binary_little_endian 1.0\n")
     shapes = MeshFolder(tmp_path)
-    assert [shapes.name(i) for i in range(len(shapes))] == ["cube", "torn"]
-    with pytest.raises(ReadError, match=r"torn\.ply, cannot read it"):
-        shapes.raw_mesh(1)
+    assert [shapes.name(i) for i in range(len(shapes))] == ["back", "cube", "torn"]
+    assert shapes.raw_mesh(0).faces.tolist() == [[0, 1, 2]]
+    with pytest.raises(ReadError, match=r"torn\.ply: .* truncated"):
+        shapes.raw_mesh(2)

@@ -11,8 +11,6 @@ from fullturn.cli.errors import tell
 from fullturn.cli.sensor import Flying, Grazing, Holes, Noise, Quantize
 
 if TYPE_CHECKING:
-    import trimesh
-
     from fullturn.data.views import RangeView
 
 _POSES, _SHEET = "poses.json", "contact_sheet.png"
@@ -57,13 +55,14 @@ def scan(
     from fullturn.data.sensor import Sensor
     from fullturn.data.views import view_mesh
     from fullturn.io.atomic import write_atomic
+    from fullturn.io.load import load_mesh
     from fullturn.io.save import save_cloud
     from fullturn.progress import progress_bar
     from fullturn.viz.contact_sheet import save_contact_sheet
 
     sensor = Sensor(noise=noise, quantize=quantize, grazing_deg=grazing, flying=flying, holes=holes)
     scans = view_mesh(
-        _read_mesh(mesh),
+        load_mesh(mesh),
         views=views,
         distance=distance,
         points=points or None,
@@ -175,24 +174,3 @@ def _remove(folder: Path, names: set[str]) -> None:
     if places:
         removed = ", ".join(place.name for place in places)
         tell(f"removed the clouds that only an earlier run wrote: {removed}")
-
-
-def _read_mesh(path: Path) -> trimesh.Trimesh:
-    import trimesh
-
-    from fullturn.errors import InputError, ReadError, one_line
-    from fullturn.io.load import MESH_SUFFIXES, read_raw
-
-    name, suffix = one_line(path), path.suffix.lower()
-    if suffix not in MESH_SUFFIXES:
-        raise ReadError(
-            f"{name}: expected a mesh that ends in one of {', '.join(MESH_SUFFIXES)}, found "
-            f"{one_line(suffix) if suffix else 'no suffix'}; rename or convert it"
-        )
-    raw = read_raw(path)
-    if raw.faces is None or len(raw.faces) == 0:
-        raise InputError(
-            f"{name}: expected a mesh with triangles, found {len(raw.points)} points without any; "
-            "give a mesh"
-        )
-    return trimesh.Trimesh(raw.points, raw.faces, process=False)

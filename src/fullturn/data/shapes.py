@@ -20,9 +20,9 @@ from fullturn.data.npz import open_npz
 from fullturn.data.procedural import procedural_family, procedural_mesh
 from fullturn.data.provenance import sha256_of_file, sha256_of_files
 from fullturn.data.surface import sample_surface
-from fullturn.errors import InputError, ReadError, one_line
+from fullturn.errors import InputError, ReadError
+from fullturn.io.load import MESH_SUFFIXES, load_mesh
 
-_MESH_SUFFIXES = {".glb", ".gltf", ".obj", ".off", ".ply", ".stl"}
 _NORMALIZATION_COUNT = 4096
 # fmt: off
 PACK_KEYS = (
@@ -162,11 +162,11 @@ class MeshFolder(MeshSource):
         self._files = sorted(
             file
             for file in self._root.rglob("*")
-            if file.suffix.lower() in _MESH_SUFFIXES and not file.name.startswith(".")
+            if file.suffix.lower() in MESH_SUFFIXES and not file.name.startswith(".")
         )
         if not self._files:
             raise ReadError(
-                f"expected mesh files ({', '.join(sorted(_MESH_SUFFIXES))}) below {path}, found "
+                f"expected mesh files ({', '.join(MESH_SUFFIXES)}) below {path}, found "
                 "none; check the folder"
             )
 
@@ -192,19 +192,7 @@ class MeshFolder(MeshSource):
         return parts[0] if len(parts) > 1 else ""
 
     def raw_mesh(self, index: int) -> trimesh.Trimesh:
-        try:
-            mesh = trimesh.load(self._files[index], force="mesh", process=False)
-        # Whatever the reader of the format raises at what is damaged.
-        except Exception as error:
-            raise ReadError(
-                f"expected a triangle mesh in {self._files[index]}, cannot read it: "
-                f"{one_line(error)}; remove the file"
-            ) from error
-        if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
-            raise ReadError(
-                f"expected a triangle mesh in {self._files[index]}, found no faces; remove the file"
-            )
-        return mesh
+        return load_mesh(self._files[index])
 
 
 class ProceduralShapes(MeshSource):

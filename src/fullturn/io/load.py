@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,6 +19,9 @@ from fullturn.io.pcd import read_pcd
 from fullturn.io.ply import read_ply
 from fullturn.io.raw import Raw
 from fullturn.io.text import read_text
+
+if TYPE_CHECKING:
+    import trimesh
 
 SAMPLES = 20_000
 
@@ -113,6 +116,30 @@ def read_raw(path: str | os.PathLike[str]) -> Raw:
     if suffix in _MESHES_ALONE:
         return read_mesh(data, suffix, name)
     return _CLOUD_READERS[suffix](data, name)
+
+
+def load_mesh(path: str | os.PathLike[str]) -> trimesh.Trimesh:
+    """The mesh of a file, as it stands there.
+
+    Raises:
+        InputError: a file of points alone.
+        ReadError: a file that is missing, unreadable, truncated, mislabeled or of unknown kind.
+    """
+    import trimesh
+
+    name, suffix = one_line(path), Path(path).suffix.lower()
+    if suffix not in MESH_SUFFIXES:
+        raise ReadError(
+            f"{name}: expected a mesh that ends in one of {', '.join(MESH_SUFFIXES)}, found "
+            f"{one_line(suffix) if suffix else 'no suffix'}; rename or convert it"
+        )
+    raw = read_raw(path)
+    if raw.faces is None or len(raw.faces) == 0:
+        raise InputError(
+            f"{name}: expected a mesh with triangles, found {len(raw.points)} points without any; "
+            "give a mesh"
+        )
+    return trimesh.Trimesh(raw.points, raw.faces, process=False)
 
 
 def _load_file(path: str | os.PathLike[str], samples: int) -> LoadedCloud:
