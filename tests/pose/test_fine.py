@@ -13,6 +13,7 @@ from fullturn.data.protocols import PROTOCOLS
 from fullturn.data.shapes import ProceduralShapes
 from fullturn.geometry import rigid
 from fullturn.geometry.cloud import Cloud
+from fullturn.geometry.sampling import farthest_point_sample
 from fullturn.pose.closest_pairs import ClosestPairs, Residuals
 from fullturn.pose.fine import refine_fine
 
@@ -128,6 +129,20 @@ def test_independent_samples_are_not_trusted_as_points() -> None:
     residuals = residuals_at(T_TRUE, *clouds(3000, same=False, noise=1e-3), cutoff=0.08)
     assert residuals.sigma_tangent > 3 * residuals.sigma_normal
     assert residuals.point_share < 0.05
+
+
+def test_neither_are_even_samples_of_little_noise() -> None:
+    """Most of their points are each other's nearest, as are those of one sampling."""
+    even = [
+        Cloud(cloud.points[farthest_point_sample(cloud.points, 700)])
+        for cloud in clouds(6000, same=False, noise=1e-4)
+    ]
+    residuals = residuals_at(T_TRUE, *even, cutoff=0.15)
+    partner, _ = even[1].index.nearest(rigid.apply(T_TRUE, even[0].points))
+    back, _ = even[0].index.nearest(rigid.apply(rigid.invert(T_TRUE), even[1].points[partner]))
+    assert float((back == torch.arange(700)).double().mean()) > 0.58
+    assert residuals.trust == 0.0
+    assert residuals.point_share < 1e-3
 
 
 def test_the_problem_does_not_depend_on_the_target_frame() -> None:

@@ -14,9 +14,11 @@ from fullturn.geometry.cloud import Cloud
 from fullturn.geometry.motion import skew
 from fullturn.geometry.neighbors import NearestTracker
 
-# The share of mutual nearest neighbors at which points aren't trusted to be the same ones, and that
-# at which they fully are: two samplings of a surface lie below, one and the same above.
-_MUTUAL_INDEPENDENT, _MUTUAL_SAME = 0.54, 0.66
+# Where points aren't trusted to be the same ones, and where they fully are: the share of mutual
+# nearest neighbors, and the deviation across the surface in that along it. Two samplings of a
+# surface have few of the first, unless both are even; and without much noise, far less of the
+# second than the noise of one and the same points, which is as large in all directions.
+_MUTUAL, _ALONG = (0.54, 0.66), (0.5, 0.75)
 _LEAST_POINT_SHARE = 0.01
 _FEWEST_PAIRS = 6
 
@@ -80,8 +82,7 @@ class ClosestPairs:
         forward = near[: len(y)]
         mutual = (self._source[back] == self._own).all(1)[forward]
         share = float(mutual.mean()) if len(mutual) else 0.0
-        trust = (share - _MUTUAL_INDEPENDENT) / (_MUTUAL_SAME - _MUTUAL_INDEPENDENT)
-        trust = min(1.0, max(0.0, trust))
+        trust = _ramp(share, *_MUTUAL) * _ramp(sigma_normal / sigma_tangent, *_ALONG)
         ratio = min(1.0, (sigma_normal / sigma_tangent) ** 2)
         point_share = max(_LEAST_POINT_SHARE, trust) * ratio
         reach = min(cutoff, 3.0 * (sigma_normal**2 + 2.0 * sigma_tangent**2) ** 0.5)
@@ -125,6 +126,11 @@ def normal_equations(
         (1 - point_share) * planes[:6, :6] + point_share * H,
         (1 - point_share) * planes[:6, 6] + point_share * g,
     )
+
+
+def _ramp(value: float, low: float, high: float) -> float:
+    """0 up to `low`, 1 from `high` on, linear between."""
+    return min(1.0, max(0.0, (value - low) / (high - low)))
 
 
 def _median(values: Float[np.ndarray, " n"]) -> float:
