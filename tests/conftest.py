@@ -6,6 +6,7 @@ import signal
 from collections.abc import Iterator
 
 import pytest
+from hypothesis import settings
 from jaxtyping import config, install_import_hook
 
 ROOMS = (
@@ -21,6 +22,11 @@ ROOMS = (
 # The others are not: the front door, the files and the command line answer wrong types themselves,
 # by named errors; figures and the runs of many pairs move what was computed elsewhere.
 install_import_hook([f"fullturn.{room}" for room in ROOMS], "type_checks.checked")
+
+
+# How long an example takes says how busy the machine is.
+settings.register_profile("untimed", deadline=None)
+settings.load_profile("untimed")
 
 
 @pytest.fixture
