@@ -168,15 +168,21 @@ def test_a_handful_of_points_gets_little_probability_and_a_reason(method: str) -
 
 @pytest.mark.parametrize("noise", [0.0, 1e-4])
 def test_an_exact_symmetry_gives_one_half_each(noise: float) -> None:
-    half = move(rigid(np.eye(3), np.array([1.0, 0.0, 0.0])), partial(teapot(), 500, seed=8))
-    points = np.concatenate([half, half * [-1.0, -1.0, 1.0]])
-    rng = np.random.default_rng(8)
-    target = rng.permutation(move(true_pose(8), points)) + noise * rng.normal(size=points.shape)
-    result = fullturn.register(points, target)
-    assert result.symmetry is not None
-    assert result.symmetry.order == 2
-    assert result.success_probability == pytest.approx(0.5, abs=0.1)
-    assert result.alternatives[0].success_probability == pytest.approx(0.5, abs=0.1)
+    """As a rule: keypoints lie otherwise on either half, and a third pose may lean to one side."""
+    stated = []
+    for seed in range(8, 13):
+        half = move(rigid(np.eye(3), np.array([1.0, 0.0, 0.0])), partial(teapot(), 500, seed=seed))
+        points = np.concatenate([half, half * [-1.0, -1.0, 1.0]])
+        rng = np.random.default_rng(seed)
+        target = rng.permutation(move(true_pose(seed), points))
+        result = fullturn.register(points, target + noise * rng.normal(size=points.shape))
+        assert result.symmetry is not None
+        assert result.symmetry.order == 2
+        both = (result.success_probability, result.alternatives[0].success_probability)
+        assert sum(both) == pytest.approx(1.0, abs=0.05)
+        stated.append(both)
+    assert np.max(stated) < 0.75
+    np.testing.assert_allclose(np.median(stated, axis=0), 0.5, atol=0.05)
 
 
 def test_fifty_points() -> None:
