@@ -82,9 +82,9 @@ class ClosestPairs:
         forward = near[: len(y)]
         mutual = (self._source[back] == self._own).all(1)[forward]
         share = float(mutual.mean()) if len(mutual) else 0.0
-        trust = _ramp(share, *_MUTUAL) * _ramp(sigma_normal / sigma_tangent, *_ALONG)
-        ratio = min(1.0, (sigma_normal / sigma_tangent) ** 2)
-        point_share = max(_LEAST_POINT_SHARE, trust) * ratio
+        ratio = sigma_normal / sigma_tangent
+        trust = _ramp(share, *_MUTUAL) * _ramp(ratio, *_ALONG)
+        point_share = max(_LEAST_POINT_SHARE, trust) * min(1.0, ratio**2)
         reach = min(cutoff, 3.0 * (sigma_normal**2 + 2.0 * sigma_tangent**2) ** 0.5)
         # Tukey on the two variances; a pair three deviations off across the surface counts nothing.
         unlikely = np.square(height / (4.0 * sigma_normal)) + np.square(along / reach)

@@ -18,7 +18,8 @@ from fullturn.pose.residuals import gauss_newton_step
 _FIRST_POINTS, _FIRST_ROUNDS = 300, 20
 _ROUNDS = 30  # most settle in ten; along smooth surfaces, steps stay short
 _NEAR, _SETTLED = 0.1, 0.02
-_DAMPING, _LARGEST_STEP = 1e-6, 0.2  # just enough to be solvable
+_DAMPING = 1e-6  # just enough to be solvable
+_LARGEST_STEP = 0.2
 
 
 def refine_fine(
