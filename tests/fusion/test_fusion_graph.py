@@ -24,17 +24,38 @@ def check_poses(placement: Placement, truth: np.ndarray, *, deg: float, shift: f
 def test_one_edge_gives_back_its_probabilities() -> None:
     rng = np.random.default_rng(0)
     p = np.array([0.5, 0.3, 0.1])
-    heard = [Measurement(random_poses(3, rng), p, 0.1)]
-    T, probability, none = posterior(heard, np.zeros(3), GraphConfig())
-    np.testing.assert_allclose(T, heard[0].T_one_other, atol=1e-12)
+    heard = [Measurement(random_poses(3, rng), p, 0.1, 0.1)]
+    found = posterior(heard, np.zeros(3), GraphConfig())
+    np.testing.assert_allclose(found.T_one_other, heard[0].T_one_other, atol=1e-12)
     # The doubt also speaks beside each pose, at ε of its weight.
-    np.testing.assert_allclose(probability, p, atol=0.02)
-    assert none == pytest.approx(0.1, abs=0.02)
+    np.testing.assert_allclose(found.probability, p, atol=0.02)
+    assert found.none == pytest.approx(0.1, abs=0.02)
+    np.testing.assert_allclose(found.shares[:, 0], p)
     # Of poses that agree, the probabilities count together.
-    near = Measurement(heard[0].T_one_other[[0, 0, 1]], p, 0.1)
-    T, probability, _ = posterior([near], np.zeros(3), GraphConfig())
-    np.testing.assert_allclose(T, near.T_one_other[[0, 2]], atol=1e-12)
-    np.testing.assert_allclose(probability, [0.8, 0.1], atol=0.03)
+    near = Measurement(heard[0].T_one_other[[0, 0, 1]], p, 0.1, 0.1)
+    found = posterior([near], np.zeros(3), GraphConfig())
+    np.testing.assert_allclose(found.T_one_other, near.T_one_other[[0, 2]], atol=1e-12)
+    np.testing.assert_allclose(found.probability, [0.8, 0.1], atol=0.03)
+    # … and so do those of turns of a symmetric shape, of which the most probable one is returned.
+    turns = np.array([[True, False, True], [False, True, False], [True, False, True]])
+    found = posterior(heard, np.zeros(3), GraphConfig(), turns)
+    np.testing.assert_allclose(found.T_one_other, heard[0].T_one_other[:2], atol=1e-12)
+    np.testing.assert_allclose(found.probability, [0.6, 0.3], atol=0.03)
+
+
+def test_doubt_for_other_turns_is_no_doubt_of_all() -> None:
+    rng = np.random.default_rng(2)
+    heard = [Measurement(random_poses(3, rng), np.array([0.2, 0.2, 0.1]), 0.5, 0.05)]
+    found = posterior(heard, np.zeros(3), GraphConfig())
+    assert found.none < 0.1
+    # Between the poses, nothing changes.
+    np.testing.assert_allclose(found.probability[:2] / found.probability[0], 1.0, atol=1e-9)
+    any_turn = edge(0, 1, random_poses(3, rng), [0.2, 0.2, 0.1], symmetry=0)
+    assert any_turn.doubt == pytest.approx(0.5)
+    assert any_turn.none == 0.05
+    for symmetry in (None, 2):  # few turns, all of which are named
+        assert edge(0, 1, random_poses(1, rng), [0.5], symmetry=symmetry).none == 0.5
+    assert edge(0, 1, random_poses(1, rng), [0.1], symmetry=0).none == 0.9  # hardly says anything
 
 
 def test_poses_that_are_impossible_say_nothing() -> None:
@@ -50,11 +71,11 @@ def test_poses_that_are_impossible_say_nothing() -> None:
 def test_edges_that_agree_raise_each_other_and_contradiction_lowers() -> None:
     rng = np.random.default_rng(1)
     T, other = random_pose(rng)[None], random_pose(rng)[None]
-    one = Measurement(T, np.array([0.6]), 0.4)
-    agreeing = Measurement(jitter(T, rng, deg=2, shift=0.01), np.array([0.4]), 0.6)
-    against = Measurement(other, np.array([0.95]), 0.05)
+    one = Measurement(T, np.array([0.6]), 0.4, 0.4)
+    agreeing = Measurement(jitter(T, rng, deg=2, shift=0.01), np.array([0.4]), 0.6, 0.6)
+    against = Measurement(other, np.array([0.95]), 0.05, 0.05)
     alone, both, contested = (
-        posterior(heard, np.zeros(3), GraphConfig())[1]
+        posterior(heard, np.zeros(3), GraphConfig()).probability
         for heard in ([one], [one, agreeing], [one, against])
     )
     assert both[0] > 0.9 > alone[0]
@@ -148,12 +169,37 @@ def test_weak_edges_that_share_a_mistake_join_nothing() -> None:
 def test_turns_of_a_symmetric_shape_join_but_mere_doubt_does_not() -> None:
     rng = np.random.default_rng(0)
     T = random_pose(rng)
-    rivals = [T, T @ np.diag([-1.0, -1.0, 1.0, 1.0])]
-    for is_symmetric in (True, False):
-        placement = place_scans(2, [edge(0, 1, rivals, [0.49, 0.48], is_symmetric=is_symmetric)])
-        assert (len(placement.groups) == 1) == is_symmetric
-    joined = place_scans(2, [edge(0, 1, rivals, [0.49, 0.48], is_symmetric=True)])
+    turn = np.diag([-1.0, -1.0, 1.0, 1.0])
+    half = rng.uniform(-1.0, 1.0, (500, 3)) * [1.0, 0.6, 0.3]
+    symmetric = np.concatenate([half, half @ turn[:3, :3]])
+    edges = [edge(0, 1, [T, T @ turn], [0.49, 0.48])]
+    for surfaces, groups in (
+        (None, 2),
+        ([half * [1, 2, 1] + half[:, :1]] * 2, 2),
+        ([symmetric] * 2, 1),
+    ):
+        assert len(place_scans(2, edges, surfaces=surfaces).groups) == groups
+    joined = place_scans(2, edges, surfaces=[symmetric] * 2)
     assert joined.probability[1] == pytest.approx(0.5, abs=0.05)  # honest about which turn it is
+    # That the shape is symmetric says nothing for edges that doubt all of it.
+    doubted = [edge(0, 1, [T, T @ turn], [0.3, 0.3])]
+    assert len(place_scans(2, doubted, surfaces=[symmetric] * 2).groups) == 2
+
+
+def test_pairs_that_are_sure_of_different_turns_join_where_the_whole_is_symmetric() -> None:
+    """Three scans of a body that half a turn leaves as it is; of the fourth, each is sure."""
+    rng = np.random.default_rng(1)
+    turn = np.diag([-1.0, -1.0, 1.0, 1.0])
+    half = rng.uniform(-1.0, 1.0, (500, 3)) * [1.0, 0.6, 0.3]
+    body = np.concatenate([half, half @ turn[:3, :3]])
+    truth = random_poses(4, rng)
+    surfaces = [(body - T[:3, 3]) @ T[:3, :3] for T in truth]
+    edges = [edge(i, j, [between(truth, i, j)], [0.95]) for i, j in combinations(range(3), 2)]
+    for i, motion in enumerate((np.eye(4), turn)):
+        edges.append(edge(i, 3, [np.linalg.inv(truth[i]) @ motion @ truth[3]], [0.8]))
+    assert place_scans(4, edges).groups == ((0, 1, 2), (3,))
+    joined = place_scans(4, edges, surfaces=surfaces)
+    assert joined.groups == ((0, 1, 2, 3),)
 
 
 def test_the_order_of_scans_changes_no_groups() -> None:

@@ -8,59 +8,14 @@ from itertools import combinations
 import numpy as np
 import pytest
 import torch
-from fusion_cases import between, edge, errors, random_poses
+from fusion_cases import LOOKS, between, case, edge, errors, seen_from, surface
 
-from fullturn.fusion.edges import Edge
 from fullturn.fusion.graph import GraphConfig, place_scans, placement_at
 from fullturn.fusion.rivals import Eyes, judge_group
-from fullturn.fusion.scans import Scan, check_scans
+from fullturn.fusion.scans import check_scans
 from fullturn.fusion.settle import _parts, settle_groups
 from fullturn.fusion.sight import Sights
-from fullturn.geometry.normals import estimate_normals
 from fullturn.pose.visibility import DepthImages
-
-HALF_TURN = np.diag([-1.0, -1.0, 1.0, 1.0])
-LOOKS = np.array([[1, 1, 1], [1, -1, 1], [1, 1, -1], [-1, 1, 1], [-1, -1, -1], [-1, -1, 1.0]])
-
-
-def surface(*, bump: float, count: int = 9000) -> torch.Tensor:
-    """An ellipsoid, with a bump at +x that alone tells the half turn about z."""
-    u = np.random.default_rng(0).normal(size=(count, 3))
-    u /= np.linalg.norm(u, axis=1, keepdims=True)
-    peak = 1 + bump * np.exp(-np.square(u - [1.0, 0.0, 0.0]).sum(1, keepdims=True) / 0.2)
-    return torch.from_numpy(u * (1.0, 0.8, 0.6) * peak)
-
-
-def seen_from(points: torch.Tensor, look: np.ndarray) -> np.ndarray:
-    """The points of a surface without overhangs whose normals turn to a far sensor."""
-    normals = estimate_normals(points, k=12, orientation="centroid")
-    front = normals @ torch.from_numpy(look / np.linalg.norm(look)) > 0.1
-    return points[front].numpy()
-
-
-def case(bump: float, seed: int) -> tuple[list[Scan], np.ndarray, np.ndarray, list[Edge]]:
-    """Scans, their true poses, the same with half of them turned, and edges that prefer these."""
-    rng = np.random.default_rng(seed)
-    points = surface(bump=bump)
-    motions = random_poses(len(LOOKS), rng)
-    clouds = [
-        (seen_from(points, look) - T[:3, 3]) @ T[:3, :3]
-        for T, look in zip(motions, LOOKS, strict=True)
-    ]
-    scans, _ = check_scans(clouds)
-    truth = motions.copy()
-    for T, scan in zip(truth, scans, strict=True):
-        T[:3, 3] += T[:3, :3] @ scan.center
-    turned = truth.copy()
-    turned[3:] = HALF_TURN @ turned[3:]
-    edges = []
-    for i, j in combinations(range(len(scans)), 2):
-        if (i < 3) == (j < 3):
-            edges.append(edge(i, j, [between(truth, i, j)], [0.9]))
-        else:
-            poses = [between(turned, i, j), between(truth, i, j)]
-            edges.append(edge(i, j, poses, [0.5, 0.4]))
-    return scans, truth, turned, edges
 
 
 @pytest.mark.parametrize("seed", range(3))

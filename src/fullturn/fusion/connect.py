@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from itertools import product
 
 import numpy as np
 import torch
@@ -12,8 +13,9 @@ from fullturn.fusion.graph import GraphConfig, Placement, place_scans
 from fullturn.fusion.joint import refine_joint
 from fullturn.fusion.likely import ALL_PAIRS_UP_TO, PAIRS_PER_SCAN, likely_pairs, next_pairs
 from fullturn.fusion.optimize import Link, optimize_poses
-from fullturn.fusion.scans import Scan
-from fullturn.fusion.whole import anchored, current, group_body, next_attempts
+from fullturn.fusion.scans import Scan, thinned
+from fullturn.fusion.whole import anchored, covers, current, group_body, next_attempts
+from fullturn.geometry.motion import adjoint, invert
 from fullturn.progress import progress_bar
 
 _ALTERNATIVE_SIGMA = 0.02  # of a pose that isn't an edge's best, whose covariance isn't known
@@ -33,7 +35,8 @@ def connect_scans(
     few = [(i, j) for i in range(count) for j in range(i + 1, count)]
     order = few if count <= ALL_PAIRS_UP_TO else likely_pairs(scans, length)
     edges: list[Edge] = []
-    placement = place_scans(count, edges, config)
+    surfaces = [thinned(scan, length) for scan in scans]
+    placement = place_scans(count, edges, config, surfaces=surfaces)
     number = 1
     while True:
         done = {(edge.target, edge.source) for edge in edges}
@@ -47,7 +50,7 @@ def connect_scans(
             return edges, placement
         with progress_bar(f"registering, round {number}", len(todo), shown=progress) as advance:
             edges += registrar.run(scans, todo, advance)
-        placement = place_scans(count, edges, config)
+        placement = place_scans(count, edges, config, surfaces=surfaces)
         number += 1
 
 
@@ -65,6 +68,7 @@ def connect_groups(
 
     No two are tried twice, and no more than `PAIRS_PER_SCAN` × scans in all.
     """
+    surfaces = [thinned(scan, length) for scan in scans]
     between: list[Edge] = []
     done: set[Sides] = set()
     while todo := next_attempts(placement.groups, done)[: PAIRS_PER_SCAN * len(scans) - len(done)]:
@@ -80,7 +84,9 @@ def connect_groups(
         ]
         done |= set(todo)
         between = current(between, placement.groups)
-        placement = place_scans(len(scans), [*pairs, *between], config, start=placement)
+        placement = place_scans(
+            len(scans), [*pairs, *between], config, start=placement, surfaces=surfaces
+        )
     return [*pairs, *between], placement
 
 
@@ -90,21 +96,19 @@ def refine_groups(
     """Poses (n, 4, 4) and covariances (n, 6, 6) in units of the fusion, by scan."""
     poses = placement.T_group_scan.copy()
     covariance = np.zeros((len(scans), 6, 6))
+    chosen = [(edge, pose) for edge, pose in zip(edges, placement.chosen, strict=True) if pose >= 0]
+    held = [edge.sides for edge, _ in chosen if edge.held]
     for group in placement.groups:
         if len(group) == 1:
             continue
         members = list(group)
         place = {scan: number for number, scan in enumerate(members)}
-        links = [
-            Link(
-                place[edge.target],
-                place[edge.source],
-                edge.T_target_source[chosen],
-                edge.covariance if chosen == 0 else _ALTERNATIVE_SIGMA**2 * np.eye(6),
-            )
-            for edge, chosen in zip(edges, placement.chosen, strict=True)
-            if chosen >= 0 and edge.target in place
-        ]
+        links: list[Link] = []
+        for edge, pose in chosen:
+            # What whole groups say stands for the pairs of their scans.
+            is_heard = edge.held is None and any(covers(sides, edge.sides) for sides in held)
+            if edge.target in place and not is_heard:
+                links += _links(edge, pose, placement.T_group_scan, place)
         poses[members], covariance[members] = optimize_poses(poses[members], links)
         spacing = float(np.median([scans[s].sample_spacing for s in members])) / length
         poses[members] = refine_joint(
@@ -115,3 +119,24 @@ def refine_groups(
             closest=_CLOSEST * spacing,
         ).numpy()
     return poses, covariance
+
+
+def _links(
+    edge: Edge, pose: int, T_group_scan: np.ndarray, place: dict[int, int]
+) -> Iterator[Link]:
+    """What an edge says of the scans at both ends, their places given; together, as much as once.
+
+    Each end keeps its shape: with T_a_target and T_source_b, T_a_b = T_a_target T T_source_b.
+    """
+    covariance = edge.covariance if pose == 0 else _ALTERNATIVE_SIGMA**2 * np.eye(6)
+    pairs = [(a, b) for a, b in product(*edge.sides) if a in place and b in place]
+    for a, b in pairs:
+        T_a_target = invert(T_group_scan[a]) @ T_group_scan[edge.target]
+        T_source_b = invert(T_group_scan[edge.source]) @ T_group_scan[b]
+        there = adjoint(invert(T_source_b))
+        yield Link(
+            place[a],
+            place[b],
+            T_a_target @ edge.T_target_source[pose] @ T_source_b,
+            len(pairs) * there @ covariance @ there.T,
+        )

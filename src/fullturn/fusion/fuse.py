@@ -16,6 +16,7 @@ from fullturn.fusion.edges import Edge, Registrar
 from fullturn.fusion.graph import GraphConfig, Placement
 from fullturn.fusion.merge import MergedCloud, merge_clouds
 from fullturn.fusion.optimize import gtsam
+from fullturn.fusion.recheck import recheck_scans
 from fullturn.fusion.result import FusedEdge, Fusion
 from fullturn.fusion.scans import Scan, check_scans, scan_names
 from fullturn.fusion.settle import settle_groups
@@ -80,12 +81,17 @@ def fuse(
         edges, placement = connect_groups(
             registrar, scans, length, config, edges, placement, progress=progress
         )
-    connected = time.perf_counter()
+        connected = time.perf_counter()
 
-    poses, covariance = refine_groups(scans, length, edges, placement)
-    placement, changed = settle_groups(scans, length, edges, placement, poses, config)
-    if changed:
         poses, covariance = refine_groups(scans, length, edges, placement)
+        placement, changed = settle_groups(scans, length, edges, placement, poses, config)
+        if changed:
+            poses, covariance = refine_groups(scans, length, edges, placement)
+        edges, placement, changed = recheck_scans(
+            registrar, scans, length, config, edges, placement, poses, progress=progress
+        )
+        if changed:
+            poses, covariance = refine_groups(scans, length, edges, placement)
     refined = time.perf_counter()
     worlds, covariances = _denormalized(scans, length, placement, poses, covariance)
     merged = tuple(_merged([scans[s] for s in g], worlds[list(g)]) for g in placement.groups)

@@ -7,15 +7,18 @@ which is how cycles decide.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
 
 import numpy as np
 
 from fullturn.fusion.edges import Edge
-from fullturn.fusion.posterior import AgreementConfig, Measurement, agree, posterior
-from fullturn.geometry.motion import invert
+from fullturn.fusion.posterior import AgreementConfig, Measurement, Posterior, agree, posterior
+from fullturn.fusion.turns import Surface, same_but_for_turns
+from fullturn.geometry.motion import invert, move
+
+_SAME = 0.005  # of its size: how near a group lies to itself, turned, where turns don't matter
 
 
 @dataclass(frozen=True)
@@ -46,13 +49,16 @@ def place_scans(
     config: GraphConfig | None = None,
     *,
     start: Placement | None = None,
+    surfaces: Sequence[np.ndarray] | None = None,
 ) -> Placement:
     """Join `count` scans into groups by the edges that agree with one another.
 
-    With a `start`, its groups stand, as far as nothing speaks against them, and grow.
+    With a `start`, its groups stand, as far as nothing speaks against them, and grow. With
+    `surfaces`, points (N, 3) of each scan in its frame, poses that differ by a turn of a whole
+    group onto itself agree where nothing else joins.
     """
     config = config or GraphConfig()
-    graph = _Graph(count, _pool(edges), config, start)
+    graph = _Graph(count, _pool(edges), config, start, surfaces)
     graph.join()
     for _ in range(config.sweeps):
         if not graph.reconsider():
@@ -88,6 +94,9 @@ def _pool(edges: Sequence[Edge]) -> dict[frozenset[int], list[Edge]]:
     return pool
 
 
+_Known = dict[tuple[int, int], tuple[np.ndarray, float]]  # by two groups: pose and probability
+
+
 class _Graph:
     """Scans in groups that grow; each group has a frame, that of one of its scans."""
 
@@ -97,8 +106,10 @@ class _Graph:
         pool: dict[frozenset[int], list[Edge]],
         config: GraphConfig,
         start: Placement | None,
+        surfaces: Sequence[np.ndarray] | None = None,
     ) -> None:
         self.count, self.pool, self.config = count, pool, config
+        self.surfaces = surfaces
         self.poses = (
             np.tile(np.eye(4), (count, 1, 1)) if start is None else start.T_group_scan.copy()
         )
@@ -126,14 +137,16 @@ class _Graph:
                 edge.T_target_source if edge.target == i else invert(edge.T_target_source),
                 edge.probability,
                 edge.doubt,
+                edge.none,
             )
             for edge in self.pool[frozenset((i, j))]
         ]
 
     def join(self) -> None:
         """Join groups while any two are firmly connected; symmetric poses only when none are."""
-        known: dict[tuple[int, int], tuple[np.ndarray, float, float, bool]] = {}
-        while self._join_one(known, symmetric=False) or self._join_one(known, symmetric=True):
+        by_pose: _Known = {}
+        by_turn: _Known = {}
+        while self._join_one(by_pose) or self._join_one(by_turn, but_for_turns=True):
             pass
 
     def reconsider(self) -> bool:
@@ -143,32 +156,28 @@ class _Graph:
             rest = [s for s in self.members(self.label[scan]) if s != scan]
             if not rest:
                 continue
-            T, probability, none = self._relative(rest, [scan], as_new=True)
-            if none > 0.5:
+            found = self._relative(rest, [scan])
+            if found is None or found.none > 0.5:
                 self.label[scan] = self.next_label
                 self.next_label += 1
                 changed = True
                 continue
-            here = agree(self.poses[scan][None], T[:1], np.zeros(3), self.config)[0, 0]
-            if not here and probability[0] >= self.config.min_probability:
-                self.poses[scan] = T[0]
+            best = found.T_one_other[:1]
+            here = agree(self.poses[scan][None], best, np.zeros(3), self.config)[0, 0]
+            if not here and found.probability[0] >= self.config.min_probability:
+                self.poses[scan] = best[0]
                 changed = True
         return changed
 
     def split(self) -> None:
-        """Set apart what no agreeing edge connects."""
-        labels = [-1] * self.count
-        for start in range(self.count):
-            if labels[start] >= 0:
+        """Set apart what no agreeing edge connects; one between groups holds all their scans."""
+        labels = list(range(self.count))
+        for edge in (edge for edges in self.pool.values() for edge in edges):
+            if self._agreeing(edge) < 0:
                 continue
-            labels[start], waiting = start, [start]
-            while waiting:
-                scan = waiting.pop()
-                for other in self.neighbors[scan]:
-                    agree_here = (self._agreeing(e) for e in self.pool[frozenset((scan, other))])
-                    if labels[other] < 0 and any(pose >= 0 for pose in agree_here):
-                        labels[other] = start
-                        waiting.append(other)
+            held = (scan for side in edge.sides for scan in side)
+            joined = {labels[s] for s in held if self.label[s] == self.label[edge.target]}
+            labels = [min(joined) if label in joined else label for label in labels]
         self.label = labels
 
     def placement(self, edges: Sequence[Edge]) -> Placement:
@@ -180,9 +189,13 @@ class _Graph:
             poses[list(group)] = invert(self.poses[[group[0]]]) @ self.poses[list(group)]
             for scan in group if len(group) > 1 else ():
                 rest = [s for s in group if s != scan]
-                T, shares, _ = self._relative(rest, [scan], as_new=True)
-                here = agree(self.poses[scan][None], T, np.zeros(3), self.config)[0]
-                probability[scan] = min(1.0, float(shares[here].sum()))  # rounding alone exceeds it
+                found = self._relative(rest, [scan])
+                probability[scan] = 0.0
+                if found is not None:
+                    at = (found.T_one_other, np.zeros(3), self.config)
+                    here = agree(self.poses[scan][None], *at)[0]
+                    # Rounding alone exceeds 1.
+                    probability[scan] = min(1.0, float(found.probability[here].sum()))
         chosen = tuple(self._agreeing(edge) for edge in edges)
         return Placement(tuple(groups), poses, probability, chosen)
 
@@ -197,27 +210,21 @@ class _Graph:
             for first, second in product(self.between(i, k), self.between(k, j)):
                 p = (first.probability[:, None] * second.probability).ravel()
                 T = (first.T_one_other[:, None] @ second.T_one_other).reshape(-1, 4, 4)
-                heard.append(Measurement(T, p, 1.0 - float(p.sum())))
-        T, probability, _ = posterior(heard, np.zeros(3), self.config)
+                doubt = 1.0 - float(p.sum())
+                heard.append(Measurement(T, p, doubt, doubt))
+        found = posterior(heard, np.zeros(3), self.config)
         said = np.concatenate([measurement.T_one_other for measurement in direct])
-        is_direct = agree(T, said, np.zeros(3), self.config).any(1)
-        return float(probability[is_direct].max(initial=0.0))
+        is_direct = agree(found.T_one_other, said, np.zeros(3), self.config).any(1)
+        return float(found.probability[is_direct].max(initial=0.0))
 
-    def _join_one(
-        self,
-        known: dict[tuple[int, int], tuple[np.ndarray, float, float, bool]],
-        *,
-        symmetric: bool,
-    ) -> bool:
+    def _join_one(self, known: _Known, *, but_for_turns: bool = False) -> bool:
         for _, i, j in self.order:
             a, b = self.label[i], self.label[j]
             if a == b:
                 continue
             if (a, b) not in known:
-                known[a, b] = self._connection(a, b)
-            T, best, none, is_symmetric = known[a, b]
-            # Turns of a symmetric shape onto itself are equally right.
-            sure = 1.0 - none if symmetric and is_symmetric else best
+                known[a, b] = self._connection(a, b, but_for_turns=but_for_turns)
+            T, sure = known[a, b]
             if sure < self.config.min_probability:
                 continue
             joined = self.members(b)
@@ -228,46 +235,61 @@ class _Graph:
             return True
         return False
 
-    def _connection(self, a: int, b: int) -> tuple[np.ndarray, float, float, bool]:
-        one, other = self.members(a), self.members(b)
-        heard, middle = self._heard(one, other)
-        T, probability, none = posterior(heard, middle, self.config)
-        if not any(self._is_firm(m, T[0], middle) for m in heard):
-            return T[0], 0.0, 1.0, False
-        linking = [self.pool[frozenset((i, j))] for i in one for j in self.neighbors[i] & {*other}]
-        is_symmetric = all(edge.is_symmetric for edges in linking for edge in edges)
-        return T[0], float(probability[0]), none, is_symmetric
+    def _connection(self, a: int, b: int, *, but_for_turns: bool) -> tuple[np.ndarray, float]:
+        """The best relative pose of two groups, and its probability; 0 where no edge is firm.
 
-    def _is_firm(self, said: Measurement, T: np.ndarray, at: np.ndarray) -> bool:
-        here = agree(T[None], said.T_one_other, at, self.config)[0]
-        share = float(said.probability[here].sum())
-        return said.doubt <= self.config.most_doubt and share >= self.config.least_share
-
-    def _relative(
-        self, one: Sequence[int], other: Sequence[int], *, as_new: bool = False
-    ) -> tuple[np.ndarray, np.ndarray, float]:
-        """What the edges between two sets of scans say of their frames' relative pose.
-
-        With `as_new`, the others' present poses are forgotten: each frame is its scan's own.
+        Turns of a symmetric shape onto itself are equally right: if wanted, all count together.
         """
-        heard, middle = self._heard(one, other, as_new=as_new)
-        if not heard:
-            return np.zeros((0, 4, 4)), np.zeros(0), 1.0
-        return posterior(heard, middle, self.config)
+        one, other = self.members(a), self.members(b)
+        heard = self._heard(one, other)
+        middle = self.poses[other, :3, 3].mean(0)
+        is_turn = self._turns(one, other, heard) if but_for_turns else None
+        found = posterior(heard, middle, self.config, is_turn)
+        best = found.T_one_other[0]
+        least, most = self.config.least_share, self.config.most_doubt
+        firm = (
+            m.none <= most and share >= least
+            for m, share in zip(heard, found.shares[0], strict=True)
+        )
+        return best, float(found.probability[0]) if any(firm) else 0.0
+
+    def _turns(
+        self, one: Sequence[int], other: Sequence[int], heard: Sequence[Measurement]
+    ) -> np.ndarray | None:
+        """Which of the poses that are heard differ by a turn of either group onto itself."""
+        if self.surfaces is None:
+            return None
+        shapes = (
+            Surface(np.concatenate([move(self.poses[scan], self.surfaces[scan]) for scan in group]))
+            for group in (one, other)
+        )
+        T, p = (
+            np.concatenate([getattr(m, name) for m in heard])
+            for name in ("T_one_other", "probability")
+        )
+        return same_but_for_turns(T, p, *shapes, within=_SAME)
+
+    def _relative(self, one: Sequence[int], other: Sequence[int]) -> Posterior | None:
+        """What the edges say of the relative pose of a placed set and one that isn't."""
+        heard = self._heard(one, other, as_new=True)
+        return posterior(heard, np.zeros(3), self.config) if heard else None
 
     def _heard(
         self, one: Sequence[int], other: Sequence[int], *, as_new: bool = False
-    ) -> tuple[list[Measurement], np.ndarray]:
-        """The edges between two sets of scans, between their frames, and the others' middle."""
+    ) -> list[Measurement]:
+        """The edges between two sets of scans, between their frames.
+
+        With `as_new`, the others' present poses are forgotten: each frame is its scan's own.
+        """
         heard = []
         for i in one:
             for j in sorted(self.neighbors[i].intersection(other)):
                 back = np.eye(4) if as_new else invert(self.poses[j])
-                for said in self.between(i, j):
-                    T = self.poses[i] @ said.T_one_other @ back
-                    heard.append(Measurement(T, said.probability, said.doubt))
-        middle = np.zeros(3) if as_new else self.poses[list(other), :3, 3].mean(0)
-        return heard, middle
+                heard += [
+                    replace(said, T_one_other=self.poses[i] @ said.T_one_other @ back)
+                    for said in self.between(i, j)
+                ]
+        return heard
 
     def _agreeing(self, edge: Edge) -> int:
         """Which pose of an edge agrees with the present ones; −1: none, or in other groups."""

@@ -3,8 +3,9 @@
 Every edge between two scans, or two groups of scans, is a measurement of their relative pose: a few
 poses with probabilities p, and a doubt d that none is right. Against a relative pose T it speaks
 with f(T) = Σ p/ε over its poses that agree with T, plus d, where ε is the chance that a wrong pose
-agrees; against "none of these" with f = d. With T's own prior ε, one edge alone gives back its
-probabilities, those of poses that agree together, and edges that agree raise each other's.
+agrees; against "none of these" with f = d, or less where others of a symmetric shape's turns would
+be as right. With T's own prior ε, one edge alone gives back its probabilities, those of poses that
+agree together, and edges that agree raise each other's.
 """
 
 from __future__ import annotations
@@ -36,38 +37,59 @@ class Measurement:
 
     T_one_other: np.ndarray  # (k, 4, 4)
     probability: np.ndarray  # (k,)
-    doubt: float
+    doubt: float  # that none of the poses is right
+    none: float  # … nor any other turn of a symmetric shape
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """Distinct relative poses, the most probable first."""
+
+    T_one_other: np.ndarray  # (h, 4, 4)
+    probability: np.ndarray  # (h,)
+    none: float  # the probability that none of them is right
+    shares: np.ndarray  # (h, m): the probability that each measurement gives each of them
 
 
 def posterior(
-    measurements: Sequence[Measurement], at: np.ndarray, config: AgreementConfig
-) -> tuple[np.ndarray, np.ndarray, float]:
-    """Distinct relative poses (h, 4, 4) with their probabilities (h,), best first, and none's.
+    measurements: Sequence[Measurement],
+    at: np.ndarray,
+    config: AgreementConfig,
+    is_turn: np.ndarray | None = None,
+) -> Posterior:
+    """What measurements, of which some pose must have a probability above 0, say together.
 
-    Some pose must have a probability above 0.
-
-    Poses agree within the tolerances, the shift taken at the point `at` (3,); each one that is
-    returned is the mean of those that agree with it.
+    Poses agree within the tolerances, the shift taken at the point `at` (3,), and where `is_turn`,
+    between all poses in the order of the measurements (n, n), says so. Each one that is returned is
+    the mean of those that agree with it within the tolerances.
     """
     T = np.concatenate([m.T_one_other for m in measurements])
     p = np.concatenate([m.probability for m in measurements])
     starts = np.cumsum([0, *(len(m.T_one_other) for m in measurements[:-1])])
-    doubt = np.log([max(m.doubt, config.least_doubt) for m in measurements])
+    doubt, none = (
+        np.maximum([getattr(m, name) for m in measurements], config.least_doubt)
+        for name in ("doubt", "none")
+    )
     order = np.argsort(-p, kind="stable")[:_MOST_HYPOTHESES]
-    hypotheses = T[order[p[order] > 0]]
-    agreeing = agree(hypotheses, T, at, config) * p / config.chance
-    spoken = np.add.reduceat(agreeing, starts, axis=1) + np.exp(doubt)
-    weight = np.log(spoken).sum(1) + np.log(config.chance)
-    same = agree(hypotheses, hypotheses, at, config)
+    order = order[p[order] > 0]
+    near = agree(T[order], T, at, config)
+    same = near if is_turn is None else near | is_turn[order]
+
+    def said(of: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        shares = np.add.reduceat(of * p, starts, axis=1)
+        return shares, np.log(shares / config.chance + doubt).sum(1) + np.log(config.chance)
+
+    shares, weight = said(same)
+    alone = weight if is_turn is None else said(near)[1]
     kept: list[int] = []
-    for number in np.argsort(-weight, kind="stable"):
-        if not same[number, kept].any():
+    for number in np.lexsort((-alone, -weight)):
+        if not same[number, order[kept]].any():
             kept.append(int(number))
-    log = np.array([*weight[kept], doubt.sum()])
-    share = np.exp(log - log.max())
-    share /= share.sum()
-    means = np.stack([_mean(T, agreeing[number], at) for number in kept])
-    return means, share[:-1], float(share[-1])
+    log = np.array([*weight[kept], np.log(none).sum()])
+    probability = np.exp(log - log.max())
+    probability /= probability.sum()
+    means = np.stack([_mean(T, near[number] * p, at) for number in kept])
+    return Posterior(means, probability[:-1], float(probability[-1]), shares[kept])
 
 
 def _mean(T: np.ndarray, weight: np.ndarray, at: np.ndarray) -> np.ndarray:

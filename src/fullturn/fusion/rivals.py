@@ -21,21 +21,20 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
-from scipy.spatial import cKDTree
 
 from fullturn.fusion.edges import Edge
 from fullturn.fusion.graph import GraphConfig
 from fullturn.fusion.posterior import agree
-from fullturn.fusion.scans import Scan
+from fullturn.fusion.scans import CELL, Scan, thinned
 from fullturn.fusion.sight import Sights
+from fullturn.fusion.turns import Surface
 from fullturn.geometry.motion import invert, move
-from fullturn.geometry.sampling import point_spacing, voxel_sample
+from fullturn.geometry.sampling import point_spacing
 
-_CELL = 0.07  # of what is looked at, in units of the fusion: about 700 points a scan
-_EVERY = 5  # … of these, one in five is looked for in the others' images
+_EVERY = 5  # of what is kept of a scan, one point in five is looked for in the others' images
 _OF_EDGES, _OF_REGRET = 0.23, 2.7  # a and b
 _TURNS, _LEAST_TURN = 4, 0.3  # tried, and the sum of probabilities that speaks for each
-_SAME = 0.01  # mean distance of a surface from itself, turned: less is a symmetry
+_SAME = 0.01  # of its size: how near a surface lies to itself, turned, where that is a symmetry
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,24 +68,24 @@ class Eyes:
     """The scans of a group as their sensors see them, by their places among all scans."""
 
     def __init__(self, scans: Sequence[Scan], group: Sequence[int], length: float) -> None:
-        thinned = {
-            number: voxel_sample(scans[number].sample / length, _CELL)[0].float()
-            for number in group
-        }
+        self.points = {number: thinned(scans[number], length) for number in group}
         spacing = max(
-            (point_spacing(points.double()) for points in thinned.values() if len(points) > 1),
-            default=_CELL,
+            (
+                point_spacing(torch.from_numpy(points))
+                for points in self.points.values()
+                if len(points) > 1
+            ),
+            default=CELL,
         )
-        self.points = {number: points.double().numpy() for number, points in thinned.items()}
         self.sights = {
             number: Sights(
-                points,
+                torch.from_numpy(points).float(),
                 spacing=spacing,
                 viewpoint=None
                 if scans[number].viewpoint is None
                 else torch.from_numpy((scans[number].viewpoint - scans[number].center) / length),
             )
-            for number, points in thinned.items()
+            for number, points in self.points.items()
         }
 
 
@@ -110,11 +109,11 @@ def judge_group(
         best = 0
     poses = T_group_scan.copy()
     poses[found.moved[best]] = found.turns[found.turn[best]] @ poses[found.moved[best]]
-    surface = np.concatenate(
-        [move(T, eyes.points[scan]) for scan, T in zip(group, poses, strict=True)]
+    surface = Surface(
+        np.concatenate([move(T, eyes.points[scan]) for scan, T in zip(group, poses, strict=True)])
     )
     # A turn of the shape onto itself leaves right what it moves.
-    is_same = np.array([_maps_onto_itself(surface, turn) for turn in found.turns])
+    is_same = np.array([surface.stays(turn, within=_SAME) for turn in found.turns])
     moved = found.moved & ~is_same[found.turn][:, None]
     parts = 2 * moved + moved[best]
     together = (parts[:, :, None] == parts[:, None]) * probability[:, None, None]
@@ -286,12 +285,3 @@ def _relative(T_i: np.ndarray, T_j: np.ndarray, motion: np.ndarray) -> np.ndarra
     """T_i_j (3, 4, 4): as it is, the second scan moved, the first one moved."""
     back = invert(T_i)
     return np.stack([back @ T_j, back @ motion @ T_j, back @ invert(motion) @ T_j])
-
-
-def _maps_onto_itself(points: np.ndarray, motion: np.ndarray) -> bool:
-    tree, some = cKDTree(points), points[::_EVERY]
-    away = [tree.query(move(T, some))[0].mean() for T in (motion, invert(motion))]
-    # Two samples of one surface do not lie on one another.
-    gap = tree.query(some, k=2)[0][:, 1].mean()
-    size = float(np.linalg.norm(np.ptp(points, axis=0)))
-    return bool(max(away) - gap < _SAME * size)

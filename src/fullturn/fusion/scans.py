@@ -17,6 +17,7 @@ from torch import Tensor
 from fullturn.errors import FullturnError, InputError, one_line
 from fullturn.geometry.cloud import Cloud
 from fullturn.geometry.extent import center_and_radius, far_from_the_rest
+from fullturn.geometry.sampling import voxel_sample
 from fullturn.io import LoadedCloud, load_cloud
 from fullturn.io.check import as_viewpoint
 from fullturn.normalize import stray_notes
@@ -24,6 +25,7 @@ from fullturn.normalize import stray_notes
 _SAME = 0.01  # of the spacing, within which single precision keeps points
 _SAMPLE_POINTS = 4_000  # per scan, for the joint refinement
 _UNLIKE_SIZE, _UNLIKE_SPACING = 10.0, 10.0
+CELL = 0.07  # of a thinned scan, in units of the fusion: about 700 points
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +61,12 @@ class Scan(Body):
     def sample_spacing(self) -> float:
         """About how far apart sampled points lie: on a surface, 1 / √share as far as all."""
         return self.spacing * (self.count / len(self.sample)) ** 0.5
+
+
+def thinned(scan: Scan, length: float) -> Float[np.ndarray, "m 3"]:
+    """Voxel means of a scan less its center, in units of the fusion."""
+    points: np.ndarray = voxel_sample(scan.sample / length, CELL)[0].double().numpy()
+    return points
 
 
 def check_scans(

@@ -91,12 +91,13 @@ def current(edges: Sequence[Edge], groups: Sequence[tuple[int, ...]]) -> list[Ed
     kept: list[Edge] = []
     for edge in reversed(edges):
         whole = all(any({*side} <= {*group} for group in groups) for side in edge.sides)
-        if whole and not any(_covers(later.sides, edge.sides) for later in kept):
+        if whole and not any(covers(later.sides, edge.sides) for later in kept):
             kept.append(edge)
     return kept[::-1]
 
 
-def _covers(sides: Sides, others: Sides) -> bool:
+def covers(sides: Sides, others: Sides) -> bool:
+    """Whether the first two groups hold those of the others, one each."""
     (a, b), (c, d) = ([{*side} for side in both] for both in (sides, others))
     return (c <= a and d <= b) or (c <= b and d <= a)
 
