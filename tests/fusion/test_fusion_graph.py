@@ -181,6 +181,9 @@ def test_turns_of_a_symmetric_shape_join_but_mere_doubt_does_not() -> None:
         assert len(place_scans(2, edges, surfaces=surfaces).groups) == groups
     joined = place_scans(2, edges, surfaces=[symmetric] * 2)
     assert joined.probability[1] == pytest.approx(0.5, abs=0.05)  # honest about which turn it is
+    # Two scans from one side may show too little; what the registration says counts, too.
+    said = [edge(0, 1, [T, T @ turn], [0.49, 0.48], symmetry=2)]
+    assert len(place_scans(2, said).groups) == 1
     # That the shape is symmetric says nothing for edges that doubt all of it.
     doubted = [edge(0, 1, [T, T @ turn], [0.3, 0.3])]
     assert len(place_scans(2, doubted, surfaces=[symmetric] * 2).groups) == 2

@@ -238,7 +238,8 @@ class _Graph:
     def _connection(self, a: int, b: int, *, but_for_turns: bool) -> tuple[np.ndarray, float]:
         """The best relative pose of two groups, and its probability; 0 where no edge is firm.
 
-        Turns of a symmetric shape onto itself are equally right: if wanted, all count together.
+        Turns of a symmetric shape onto itself are equally right: if wanted, all count together,
+        where all edges that say something name nothing else, or where they leave a group as it is.
         """
         one, other = self.members(a), self.members(b)
         heard = self._heard(one, other)
@@ -247,6 +248,10 @@ class _Graph:
         found = posterior(heard, middle, self.config, is_turn)
         best = found.T_one_other[0]
         least, most = self.config.least_share, self.config.most_doubt
+        linking = [self.pool[frozenset((i, j))] for i in one for j in self.neighbors[i] & {*other}]
+        speaking = [e for edges in linking for e in edges if e.probability.sum() >= least]
+        if but_for_turns and speaking and all(e.symmetry is not None for e in speaking):
+            return best, 1.0 - found.none if min(e.none for e in speaking) <= most else 0.0
         firm = (
             m.none <= most and share >= least
             for m, share in zip(heard, found.shares[0], strict=True)
