@@ -242,16 +242,18 @@ class _Graph:
         where all edges that say something name nothing else, or where they leave a group as it is.
         """
         one, other = self.members(a), self.members(b)
+        least, most = self.config.least_share, self.config.most_doubt
+        linking = [self.pool[frozenset((i, j))] for i in one for j in self.neighbors[i] & {*other}]
+        speaking = [e for edges in linking for e in edges if e.probability.sum() >= least]
+        if not speaking:
+            return np.eye(4), 0.0
         heard = self._heard(one, other)
         middle = self.poses[other, :3, 3].mean(0)
         is_turn = self._turns(one, other, heard) if but_for_turns else None
         found = posterior(heard, middle, self.config, is_turn)
         best = found.T_one_other[0]
-        least, most = self.config.least_share, self.config.most_doubt
-        linking = [self.pool[frozenset((i, j))] for i in one for j in self.neighbors[i] & {*other}]
-        speaking = [e for edges in linking for e in edges if e.probability.sum() >= least]
-        if but_for_turns and speaking and all(e.symmetry is not None for e in speaking):
-            return best, 1.0 - found.none if min(e.none for e in speaking) <= most else 0.0
+        if but_for_turns and all(edge.symmetry is not None for edge in speaking):
+            return best, 1.0 - found.none if min(edge.none for edge in speaking) <= most else 0.0
         firm = (
             m.none <= most and share >= least
             for m, share in zip(heard, found.shares[0], strict=True)
