@@ -13,7 +13,7 @@ from fullturn.fusion.graph import GraphConfig, Placement, place_scans
 from fullturn.fusion.joint import refine_joint
 from fullturn.fusion.likely import ALL_PAIRS_UP_TO, PAIRS_PER_SCAN, likely_pairs, next_pairs
 from fullturn.fusion.optimize import Link, optimize_poses
-from fullturn.fusion.scans import Scan, thinned
+from fullturn.fusion.scans import Scan
 from fullturn.fusion.whole import anchored, covers, current, group_body, next_attempts
 from fullturn.geometry.motion import adjoint, invert
 from fullturn.progress import progress_bar
@@ -26,16 +26,19 @@ def connect_scans(
     registrar: Registrar,
     scans: Sequence[Scan],
     length: float,
+    surfaces: Sequence[np.ndarray],
     config: GraphConfig,
     *,
     progress: bool,
 ) -> tuple[list[Edge], Placement]:
-    """Register pairs in rounds until the scans are connected or enough has been tried."""
+    """Register pairs in rounds until the scans are connected or enough has been tried.
+
+    `surfaces`: points (N, 3) of each scan, less its center, in units of the fusion.
+    """
     count = len(scans)
     few = [(i, j) for i in range(count) for j in range(i + 1, count)]
     order = few if count <= ALL_PAIRS_UP_TO else likely_pairs(scans, length)
     edges: list[Edge] = []
-    surfaces = [thinned(scan, length) for scan in scans]
     placement = place_scans(count, edges, config, surfaces=surfaces)
     number = 1
     while True:
@@ -58,6 +61,7 @@ def connect_groups(
     registrar: Registrar,
     scans: Sequence[Scan],
     length: float,
+    surfaces: Sequence[np.ndarray],
     config: GraphConfig,
     pairs: list[Edge],
     placement: Placement,
@@ -68,7 +72,6 @@ def connect_groups(
 
     No two are tried twice, and no more than `PAIRS_PER_SCAN` × scans in all.
     """
-    surfaces = [thinned(scan, length) for scan in scans]
     between: list[Edge] = []
     done: set[Sides] = set()
     while todo := next_attempts(placement.groups, done)[: PAIRS_PER_SCAN * len(scans) - len(done)]:

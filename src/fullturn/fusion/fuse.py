@@ -18,7 +18,7 @@ from fullturn.fusion.merge import MergedCloud, merge_clouds
 from fullturn.fusion.optimize import gtsam
 from fullturn.fusion.recheck import recheck_scans
 from fullturn.fusion.result import FusedEdge, Fusion
-from fullturn.fusion.scans import Scan, check_scans, scan_names
+from fullturn.fusion.scans import Scan, check_scans, scan_names, thinned
 from fullturn.fusion.settle import settle_groups
 from fullturn.methods.check import make_method
 from fullturn.normalize import Normalization
@@ -72,14 +72,17 @@ def fuse(
     kept = None if cache is None else EdgeCache(cache)
     scans, notes = check_scans(clouds, viewpoints)
     length = float(np.median([scan.radius for scan in scans]))
+    surfaces = [thinned(scan, length) for scan in scans]
     loaded = time.perf_counter()
 
     with Registrar(
         length=length, method=method, seed=seed, workers=workers, cache=kept
     ) as registrar:
-        edges, placement = connect_scans(registrar, scans, length, config, progress=progress)
+        edges, placement = connect_scans(
+            registrar, scans, length, surfaces, config, progress=progress
+        )
         edges, placement = connect_groups(
-            registrar, scans, length, config, edges, placement, progress=progress
+            registrar, scans, length, surfaces, config, edges, placement, progress=progress
         )
         connected = time.perf_counter()
 

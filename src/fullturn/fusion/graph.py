@@ -14,7 +14,14 @@ from itertools import product
 import numpy as np
 
 from fullturn.fusion.edges import Edge
-from fullturn.fusion.posterior import AgreementConfig, Measurement, Posterior, agree, posterior
+from fullturn.fusion.posterior import (
+    AgreementConfig,
+    Measurement,
+    Posterior,
+    agree,
+    agree_here,
+    posterior,
+)
 from fullturn.fusion.turns import Surface, same_but_for_turns
 from fullturn.geometry.motion import invert, move
 
@@ -303,6 +310,6 @@ class _Graph:
         i, j = edge.target, edge.source
         if self.label[i] != self.label[j] or not len(edge.probability):
             return -1
-        now = (invert(self.poses[i]) @ self.poses[j])[None]
-        fits = np.flatnonzero(agree(now, edge.T_target_source, np.zeros(3), self.config)[0])
+        here = agree_here(edge.T_target_source, self.poses[i], self.poses[j], self.config)
+        fits = np.flatnonzero(here)
         return int(fits[0]) if len(fits) else -1

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fullturn.geometry.motion import nearest_rotation, rigid
+from fullturn.geometry.motion import invert, nearest_rotation, rigid
 
 # The most probable ones; the work grows with their number squared.
 _MOST_HYPOTHESES = 64
@@ -108,4 +108,13 @@ def agree(
     places = [T[:, :3, :3] @ at + T[:, :3, 3] for T in (one, other)]
     shift = np.linalg.norm(places[0][:, None] - places[1][None], axis=-1)
     result: np.ndarray = close & (shift < config.tolerance)
+    return result
+
+
+def agree_here(
+    T_target_source: np.ndarray, T_target: np.ndarray, T_source: np.ndarray, config: AgreementConfig
+) -> np.ndarray:
+    """Which relative poses (k, 4, 4) of two scans agree with where both stand: bool (k,)."""
+    now = invert(T_target) @ T_source
+    result: np.ndarray = agree(now[None], T_target_source, np.zeros(3), config)[0]
     return result

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from fullturn.fusion.edges import Edge, Registrar
 from fullturn.fusion.graph import GraphConfig, Placement, placement_at
-from fullturn.fusion.posterior import agree
+from fullturn.fusion.posterior import agree_here
 from fullturn.fusion.scans import Scan
 from fullturn.fusion.settle import MOST_SCANS
 from fullturn.fusion.whole import anchored, group_body
-from fullturn.geometry.motion import invert
 from fullturn.progress import progress_bar
 
 _LEAST_SCANS = 4
@@ -39,10 +39,7 @@ def recheck_scans(
     Groups of 4 to 16 scans are looked at, at poses (n, 4, 4) that are refined. What moved a scan is
     an edge more. Also returned: whether any did.
     """
-
-    def ask(group: Sequence[int], poses: np.ndarray) -> list[Edge]:
-        return _asked(registrar, scans, length, group, poses, progress=progress)
-
+    ask = partial(_asked, registrar, scans, length, progress=progress)
     poses = T_group_scan.copy()
     moved_by: list[Edge] = []
     for group in placement.groups:
@@ -96,8 +93,8 @@ def _asked(
 
 def _here(edge: Edge, T_group_scan: np.ndarray, config: GraphConfig) -> np.ndarray:
     """Which poses of an edge agree with the present one."""
-    now = invert(T_group_scan[edge.target]) @ T_group_scan[edge.source]
-    return agree(now[None], edge.T_target_source, np.zeros(3), config)[0]
+    T_target, T_source = T_group_scan[[edge.target, edge.source]]
+    return agree_here(edge.T_target_source, T_target, T_source, config)
 
 
 def _stated(edge: Edge, T_group_scan: np.ndarray, config: GraphConfig) -> float:
@@ -117,7 +114,8 @@ def _tried(
     """The scan whose edge speaks most for another pose of it, and all poses with that one."""
     best, found = 0.0, None
     for edge in asked:
-        here, stated = _here(edge, T_group_scan, config), _stated(edge, T_group_scan, config)
+        here = _here(edge, T_group_scan, config)
+        stated = float(edge.probability @ here)
         for p, T in zip(edge.probability[~here], edge.T_target_source[~here], strict=True):
             if p >= max(_LEAST, best) and stated < _BESIDE * p:
                 moved = T_group_scan.copy()

@@ -24,7 +24,7 @@ from jaxtyping import Bool, Float, Int
 
 from fullturn.fusion.edges import Edge
 from fullturn.fusion.graph import GraphConfig
-from fullturn.fusion.posterior import agree
+from fullturn.fusion.posterior import agree, agree_here
 from fullturn.fusion.scans import CELL, Scan, thinned
 from fullturn.fusion.sight import Sights
 from fullturn.fusion.turns import Surface
@@ -166,8 +166,7 @@ def _turns(
     motions, shares = [np.zeros((0, 4, 4))], [np.zeros(0)]
     for edge in edges:
         T_i, T_j = (T_group_scan[place[scan]] for scan in (edge.target, edge.source))
-        now = (invert(T_i) @ T_j)[None]
-        other = ~agree(now, edge.T_target_source, np.zeros(3), config)[0]
+        other = ~agree_here(edge.T_target_source, T_i, T_j, config)
         motions.append(T_i @ edge.T_target_source[other] @ invert(T_j))
         shares.append(edge.probability[other])
     motion, share = np.concatenate(motions), np.concatenate(shares)
