@@ -21,6 +21,9 @@ _ROUNDS = 3
 # Another pose is tried with this probability, where the present one has less than half of that.
 _LEAST, _BESIDE = 0.3, 0.5
 _LEAST_HERE = 0.01  # what a scan says of its place at least
+# A scan is lost where nothing is found for it in the rest, the present pose included.
+_NOWHERE, _NOT_HERE = 0.85, 0.1
+_MOST_LOST = 0.5  # of a group that stands
 
 
 def recheck_scans(
@@ -37,15 +40,22 @@ def recheck_scans(
     """Move scans that the rest of their group places elsewhere, if the others agree.
 
     Groups of 4 to 16 scans are looked at, at poses (n, 4, 4) that are refined. What moved a scan is
-    an edge more. Also returned: whether any did.
+    an edge more. A group of which half or more find no place in the rest falls apart into single
+    scans. Also returned: whether anything changed.
     """
     ask = partial(_asked, registrar, scans, length, progress=progress)
     poses = T_group_scan.copy()
     moved_by: list[Edge] = []
+    groups: list[Sequence[int]] = []
     for group in placement.groups:
+        groups.append(group)
         if not _LEAST_SCANS <= len(group) <= MOST_SCANS:
             continue
         asked, moved = ask(group, poses), set[int]()
+        if sum(_is_lost(edge, poses, config) for edge in asked) >= _MOST_LOST * len(group):
+            groups[-1:] = [(scan,) for scan in group]
+            poses[list(group)] = np.eye(4)
+            continue
         for _ in range(_ROUNDS):
             tried = _tried(asked, poses, config)
             if tried is None:
@@ -58,11 +68,12 @@ def recheck_scans(
                 break
             poses, asked, moved = others, again, moved | {scan}
         moved_by += [edge for edge in asked if edge.source in moved]
-    if not moved_by:
+    if not moved_by and len(groups) == len(placement.groups):
         return list(edges), placement, False
     edges = [*edges, *moved_by]
-    result = placement_at(edges, placement.groups, poses, config)
-    probability = placement.probability.copy()
+    result = placement_at(edges, groups, poses, config)
+    is_alone = np.isnan(result.probability)
+    probability = np.where(is_alone, np.nan, placement.probability)
     for edge in moved_by:
         probability[edge.source] = _stated(edge, poses, config)
     return edges, replace(result, probability=probability), True
@@ -100,6 +111,11 @@ def _here(edge: Edge, T_group_scan: np.ndarray, config: GraphConfig) -> np.ndarr
 def _stated(edge: Edge, T_group_scan: np.ndarray, config: GraphConfig) -> float:
     """The probability that an edge gives to the present pose."""
     return float(edge.probability @ _here(edge, T_group_scan, config))
+
+
+def _is_lost(edge: Edge, T_group_scan: np.ndarray, config: GraphConfig) -> bool:
+    """Whether the rest of its group has no place for a scan."""
+    return edge.none >= _NOWHERE and _stated(edge, T_group_scan, config) < _NOT_HERE
 
 
 def _support(asked: Sequence[Edge], T_group_scan: np.ndarray, config: GraphConfig) -> float:

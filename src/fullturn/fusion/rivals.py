@@ -34,6 +34,7 @@ from fullturn.geometry.sampling import point_spacing
 _EVERY = 5  # of what is kept of a scan, one point in five is looked for in the others' images
 _OF_EDGES, _OF_REGRET = 0.23, 2.7  # a and b
 _TURNS, _LEAST_TURN = 4, 0.3  # tried, and the sum of probabilities that speaks for each
+_SEEN = 0.1  # less regret: what it takes to prefer another assembly
 _SAME = 0.01  # of its size: how near a surface lies to itself, turned, where that is a symmetry
 
 
@@ -96,17 +97,17 @@ def judge_group(
     edges: Sequence[Edge],
     config: GraphConfig,
 ) -> Judgment | None:
-    """The most probable assembly of a group; None where it has no rivals.
+    """The assembly of a group that fits best; None where it has no rivals.
 
-    The present one gives way only where, of the two, the other has `min_probability`.
+    The present one gives way to what is more probable only if the sensors speak for that: what the
+    edges say alone has been heard before.
     """
     found = find_rivals(eyes, group, T_group_scan, edges, config)
     if found is None:
         return None
     probability = found.probability()
-    best = int(probability.argmax())
-    if probability[best] < config.min_probability * (probability[best] + probability[0]):
-        best = 0
+    is_better = (probability > probability[0]) & (found.regret <= found.regret[0] - _SEEN)
+    best = int(np.where(is_better, probability, 0.0).argmax())
     poses = T_group_scan.copy()
     poses[found.moved[best]] = found.turns[found.turn[best]] @ poses[found.moved[best]]
     surface = Surface(
@@ -115,7 +116,8 @@ def judge_group(
     # A turn of the shape onto itself leaves right what it moves.
     is_same = np.array([surface.stays(turn, within=_SAME) for turn in found.turns])
     moved = found.moved & ~is_same[found.turn][:, None]
-    parts = 2 * moved + moved[best]
+    by_best = found.turn == found.turn[best]  # such move some of its scans onto where they are now
+    parts = np.where(by_best[:, None], moved ^ moved[best], 2 * moved + moved[best])
     together = (parts[:, :, None] == parts[:, None]) * probability[:, None, None]
     return Judgment(poses, best > 0, together.sum(0))
 
