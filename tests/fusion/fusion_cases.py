@@ -74,8 +74,13 @@ def seen_from(points: torch.Tensor, look: np.ndarray) -> np.ndarray:
     return points[front].numpy()
 
 
-def case(bump: float, seed: int) -> tuple[list[Scan], np.ndarray, np.ndarray, list[Edge]]:
-    """Scans, their true poses, the same with half of them turned, and edges that prefer these."""
+def case(
+    bump: float, seed: int, *, right: float = 0.4
+) -> tuple[list[Scan], np.ndarray, np.ndarray, list[Edge]]:
+    """Scans, their true poses, the same with half of them turned, and edges that prefer these.
+
+    The edges between both halves give the true poses the probability `right`.
+    """
     rng = np.random.default_rng(seed)
     points = surface(bump=bump)
     motions = random_poses(len(LOOKS), rng)
@@ -95,5 +100,5 @@ def case(bump: float, seed: int) -> tuple[list[Scan], np.ndarray, np.ndarray, li
             edges.append(edge(i, j, [between(truth, i, j)], [0.9]))
         else:
             poses = [between(turned, i, j), between(truth, i, j)]
-            edges.append(edge(i, j, poses, [0.5, 0.4]))
+            edges.append(edge(i, j, poses, [0.9 - right, right]))
     return scans, truth, turned, edges

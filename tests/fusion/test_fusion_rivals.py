@@ -45,9 +45,9 @@ def test_the_rest_of_a_surface_contradicts_no_likely_place_but_a_screen_does(
     assert float(screen.min()) > 0.2
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_scans_that_the_edges_turned_are_turned_back(seed: int) -> None:
-    scans, truth, turned, edges = case(0.5, seed)
+@pytest.mark.parametrize(("seed", "right"), [(0, 0.4), (1, 0.4), (2, 0.4), (0, 0.2), (1, 0.2)])
+def test_scans_that_the_edges_turned_are_turned_back(seed: int, right: float) -> None:
+    scans, truth, turned, edges = case(0.5, seed, right=right)
     group = range(len(scans))
     eyes = Eyes(scans, group, 1.0)
     judged = judge_group(eyes, group, turned, edges, GraphConfig())
@@ -63,6 +63,17 @@ def test_scans_that_the_edges_turned_are_turned_back(seed: int) -> None:
     np.testing.assert_array_equal(stays.T_group_scan, truth)
     np.testing.assert_allclose(stays.together, stays.together.T)
     np.testing.assert_allclose(np.diag(stays.together), 1.0)
+    # The same assemblies, whichever of them was there before.
+    np.testing.assert_allclose(judged.together, stays.together, atol=0.01)
+
+
+def test_what_edges_alone_say_moves_nothing() -> None:
+    scans, truth, _, edges = case(0.0, 0, right=0.05)
+    group = range(len(scans))
+    judged = judge_group(Eyes(scans, group, 1.0), group, truth, edges, GraphConfig())
+    assert judged is not None
+    assert not judged.is_moved
+    np.testing.assert_array_equal(judged.T_group_scan, truth)
 
 
 def test_a_scan_smaller_than_a_cell_stays_with_the_others() -> None:

@@ -43,6 +43,7 @@ class Rivals:
     """Distinct assemblies of the scans of one group, the present one first."""
 
     turns: Float[np.ndarray, "m 4 4"]  # in the group's frame
+    is_half: Bool[np.ndarray, " m"]  # twice such a turn is none
     turn: Int[np.ndarray, " b"]  # which one moves
     moved: Bool[np.ndarray, "b n"]  # which scans; none in the first
     evidence: Float[np.ndarray, " b"]  # Σ log f
@@ -116,8 +117,11 @@ def judge_group(
     # A turn of the shape onto itself leaves right what it moves.
     is_same = np.array([surface.stays(turn, within=_SAME) for turn in found.turns])
     moved = found.moved & ~is_same[found.turn][:, None]
-    by_best = found.turn == found.turn[best]  # such move some of its scans onto where they are now
-    parts = np.where(by_best[:, None], moved ^ moved[best], 2 * moved + moved[best])
+    # What moves its scans from the best: its turn (1), the best's undone (−1), or both (2).
+    parts = moved.astype(int) - moved[best]
+    is_alike = found.turn == found.turn[best]
+    parts[found.is_half[found.turn] & is_alike] **= 2
+    parts[~is_alike[:, None] & moved & moved[best]] = 2
     together = (parts[:, :, None] == parts[:, None]) * probability[:, None, None]
     return Judgment(poses, best > 0, together.sum(0))
 
@@ -139,13 +143,13 @@ def find_rivals(
     turns = _turns(inner, place, T_group_scan, config)
     if not len(turns):
         return None
+    is_half = agree(turns, invert(turns), T_group_scan[:, :3, 3].mean(0), config).diagonal()
     turn, moved, evidence, regret = [], [], [], []
     for number, motion in enumerate(turns):
-        both = agree(motion[None], invert(motion)[None], T_group_scan[:, :3, 3].mean(0), config)
         said = _evidence(inner, place, T_group_scan, motion, config)
         contra = _contradictions(eyes, group, T_group_scan, motion)
         hidden = [eyes.sights[scan].hidden.numpy() for scan in group]
-        labels = _grown(said, contra, hidden, is_half_turn=bool(both[0, 0]))
+        labels = _grown(said, contra, hidden, is_half_turn=bool(is_half[number]))
         values = _values(labels, said, contra, hidden)
         start = 1 if number else 0  # the present assembly once
         turn += [number] * len(labels[start:])
@@ -154,6 +158,7 @@ def find_rivals(
         regret.append(values[1][start:])
     return Rivals(
         turns,
+        is_half,
         np.array(turn),
         np.concatenate(moved),
         np.concatenate(evidence),
