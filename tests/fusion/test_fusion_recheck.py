@@ -13,7 +13,7 @@ from fullturn.fusion.connect import refine_groups
 from fullturn.fusion.edges import Registrar
 from fullturn.fusion.graph import GraphConfig, placement_at
 from fullturn.fusion.recheck import recheck_scans
-from fullturn.fusion.scans import check_scans
+from fullturn.fusion.scans import check_scans, thinned
 from fullturn.geometry.motion import invert
 
 
@@ -27,9 +27,10 @@ def test_a_scan_that_its_pairs_turned_is_turned_back(turned: int | None) -> None
     config, group = GraphConfig(), list(range(len(scans)))
     placement = placement_at(edges, [group], placed, config)
     assert placement.groups == (tuple(group),)
+    surfaces = [thinned(scan, 1.0) for scan in scans]
     with Registrar(length=1.0, method="auto", seed=0, workers=1) as registrar:
         found, again, changed = recheck_scans(
-            registrar, scans, 1.0, config, edges, placement, placed, progress=False
+            registrar, scans, 1.0, surfaces, config, edges, placement, placed, progress=False
         )
     assert changed == (turned is not None)
     assert again.groups == placement.groups
@@ -65,9 +66,11 @@ def test_scans_that_find_no_place_in_one_another_fall_apart() -> None:
     placement = placement_at(edges, [known, wrong], poses, config)
     assert placement.groups == (tuple(known), tuple(wrong))
     assert (placement.probability[wrong] > 0.9).all()
+    everything = [*scans, *strangers]
+    surfaces = [thinned(scan, 1.0) for scan in everything]
     with Registrar(length=1.0, method="auto", seed=0, workers=1) as registrar:
         found, again, changed = recheck_scans(
-            registrar, [*scans, *strangers], 1.0, config, edges, placement, poses, progress=False
+            registrar, everything, 1.0, surfaces, config, edges, placement, poses, progress=False
         )
     assert changed
     assert len(found) == len(edges)

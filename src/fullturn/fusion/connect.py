@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -87,8 +88,9 @@ def connect_groups(
         ]
         done |= set(todo)
         between = current(between, placement.groups)
+        start = replace(placement, T_group_scan=poses)  # refined, more edges agree
         placement = place_scans(
-            len(scans), [*pairs, *between], config, start=placement, surfaces=surfaces
+            len(scans), [*pairs, *between], config, start=start, surfaces=surfaces
         )
     return [*pairs, *between], placement
 

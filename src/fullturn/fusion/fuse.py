@@ -91,7 +91,7 @@ def fuse(
         if changed:
             poses, covariance = refine_groups(scans, length, edges, placement)
         edges, placement, changed = recheck_scans(
-            registrar, scans, length, config, edges, placement, poses, progress=progress
+            registrar, scans, length, surfaces, config, edges, placement, poses, progress=progress
         )
         if changed:
             poses, covariance = refine_groups(scans, length, edges, placement)

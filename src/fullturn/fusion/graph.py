@@ -92,6 +92,19 @@ def placement_at(
     return graph.placement(edges)
 
 
+def join_groups(
+    edges: Sequence[Edge],
+    placement: Placement,
+    config: GraphConfig,
+    *,
+    surfaces: Sequence[np.ndarray],
+) -> Placement:
+    """The placement with groups joined that these edges connect; within groups, nothing moves."""
+    graph = _Graph(len(placement.T_group_scan), _pool(edges), config, placement, surfaces)
+    graph.join()
+    return graph.placement(edges)
+
+
 def _pool(edges: Sequence[Edge]) -> dict[frozenset[int], list[Edge]]:
     """The edges that state probable poses, by the two scans that they connect."""
     pool: dict[frozenset[int], list[Edge]] = {}

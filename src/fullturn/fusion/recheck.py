@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from fullturn.fusion.edges import Edge, Registrar
-from fullturn.fusion.graph import GraphConfig, Placement, placement_at
+from fullturn.fusion.graph import GraphConfig, Placement, join_groups, placement_at
 from fullturn.fusion.posterior import agree_here
 from fullturn.fusion.scans import Scan
 from fullturn.fusion.settle import MOST_SCANS
@@ -30,6 +30,7 @@ def recheck_scans(
     registrar: Registrar,
     scans: Sequence[Scan],
     length: float,
+    surfaces: Sequence[np.ndarray],
     config: GraphConfig,
     edges: Sequence[Edge],
     placement: Placement,
@@ -40,13 +41,13 @@ def recheck_scans(
     """Move scans that the rest of their group places elsewhere, if the others agree.
 
     Groups of 4 to 16 scans are looked at, at poses (n, 4, 4) that are refined. What moved a scan is
-    an edge more. A group of which half or more find no place in the rest falls apart into single
-    scans. Also returned: whether anything changed.
+    an edge more; groups that all edges connect then join. A group of which half or more find no
+    place in the rest falls apart into single scans. Also returned: whether anything changed.
     """
     ask = partial(_asked, registrar, scans, length, progress=progress)
     poses = T_group_scan.copy()
     moved_by: list[Edge] = []
-    groups: list[Sequence[int]] = []
+    groups, lost = list[Sequence[int]](), set[int]()
     for group in placement.groups:
         groups.append(group)
         if not _LEAST_SCANS <= len(group) <= MOST_SCANS:
@@ -54,6 +55,7 @@ def recheck_scans(
         asked, moved = ask(group, poses), set[int]()
         if sum(_is_lost(edge, poses, config) for edge in asked) >= _MOST_LOST * len(group):
             groups[-1:] = [(scan,) for scan in group]
+            lost |= {*group}
             poses[list(group)] = np.eye(4)
             continue
         for _ in range(_ROUNDS):
@@ -68,12 +70,18 @@ def recheck_scans(
                 break
             poses, asked, moved = others, again, moved | {scan}
         moved_by += [edge for edge in asked if edge.source in moved]
-    if not moved_by and len(groups) == len(placement.groups):
+    if not moved_by and not lost:
         return list(edges), placement, False
     edges = [*edges, *moved_by]
     result = placement_at(edges, groups, poses, config)
-    is_alone = np.isnan(result.probability)
-    probability = np.where(is_alone, np.nan, placement.probability)
+    if moved_by:
+        heard = [edge for edge in edges if lost.isdisjoint((edge.target, edge.source))]
+        result = join_groups(heard, result, config, surfaces=surfaces)
+        result = placement_at(edges, result.groups, result.T_group_scan, config)
+    probability = placement.probability.copy()
+    fresh = [scan for group in result.groups if group not in placement.groups for scan in group]
+    before, now = probability[fresh], result.probability[fresh]
+    probability[fresh] = np.where(np.isnan(before), now, np.minimum(before, now))
     for edge in moved_by:
         probability[edge.source] = _stated(edge, poses, config)
     return edges, replace(result, probability=probability), True

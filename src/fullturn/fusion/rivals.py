@@ -34,7 +34,7 @@ from fullturn.geometry.sampling import point_spacing
 _EVERY = 5  # of what is kept of a scan, one point in five is looked for in the others' images
 _OF_EDGES, _OF_REGRET = 0.23, 2.7  # a and b
 _TURNS, _LEAST_TURN = 4, 0.3  # tried, and the sum of probabilities that speaks for each
-_SEEN = 0.1  # less regret: what it takes to prefer another assembly
+_SEEN = 0.1  # less regret with which the sensors speak for another assembly
 _SAME = 0.01  # of its size: how near a surface lies to itself, turned, where that is a symmetry
 
 
@@ -100,15 +100,16 @@ def judge_group(
 ) -> Judgment | None:
     """The assembly of a group that fits best; None where it has no rivals.
 
-    The present one gives way to what is more probable only if the sensors speak for that: what the
-    edges say alone has been heard before.
+    The present one gives way to what is more probable if the sensors speak for that, too. What only
+    the edges speak for has been heard before: of the two, it needs `min_probability`.
     """
     found = find_rivals(eyes, group, T_group_scan, edges, config)
     if found is None:
         return None
     probability = found.probability()
-    is_better = (probability > probability[0]) & (found.regret <= found.regret[0] - _SEEN)
-    best = int(np.where(is_better, probability, 0.0).argmax())
+    is_seen = (probability > probability[0]) & (found.regret <= found.regret[0] - _SEEN)
+    is_sure = probability >= config.min_probability * (probability + probability[0])
+    best = int(np.where(is_seen | is_sure, probability, 0.0).argmax())
     poses = T_group_scan.copy()
     poses[found.moved[best]] = found.turns[found.turn[best]] @ poses[found.moved[best]]
     surface = Surface(

@@ -9,17 +9,17 @@ from torch import Tensor
 from fullturn.geometry.directions import sphere_directions
 from fullturn.pose.visibility import DepthImages
 
-_DIRECTIONS, _LIKELY = 64, 24  # looked from, and of these the ones that hide the fewest points
+_DIRECTIONS = 64
 _AWAY = 8.0  # radii between a scan and its sensor, where that isn't known
 
 
 class Sights:
     """Depth images of one scan from all places where its sensor may have stood.
 
-    A sensor sees no point behind another. Of 64 directions, those from which the scan's own points
-    hide one another least may be the true one; where the `viewpoint` is known, it alone is. A point
-    of another scan contradicts a place if it stands in front of what was seen from there, or where
-    nothing was seen.
+    Where the `viewpoint` is known, it alone is; else 64 directions. A sensor sees no point behind
+    another, so that of the scan's own points few are `hidden` from the true one. A point of another
+    scan contradicts a place if it stands in front of what was seen from there, or where nothing was
+    seen.
     """
 
     def __init__(
@@ -34,8 +34,6 @@ class Sights:
             radius = (points - middle).norm(dim=-1).amax()
             around = torch.from_numpy(sphere_directions(_DIRECTIONS)).to(points)
             eyes = middle + _AWAY * radius * around
-            hidden = DepthImages(points, eyes, spacing=spacing).hidden(points)
-            eyes = eyes[hidden.argsort(stable=True)[:_LIKELY]]
         else:
             eyes = viewpoint.to(points)[None]
         self._images = DepthImages(points, eyes, spacing=spacing)
