@@ -67,13 +67,18 @@ def test_scans_that_the_edges_turned_are_turned_back(seed: int, right: float) ->
     np.testing.assert_allclose(judged.together, stays.together, atol=0.01)
 
 
-def test_what_edges_alone_say_moves_nothing() -> None:
-    scans, truth, _, edges = case(0.0, 0, right=0.05)
+@pytest.mark.parametrize(("right", "is_moved"), [(0.4, False), (0.2, True)])
+def test_what_edges_alone_say_moves_scans_only_where_it_is_sure(
+    right: float, is_moved: bool
+) -> None:
+    scans, truth, turned, edges = case(0.0, 0, right=right)
     group = range(len(scans))
     judged = judge_group(Eyes(scans, group, 1.0), group, truth, edges, GraphConfig())
     assert judged is not None
-    assert not judged.is_moved
-    np.testing.assert_array_equal(judged.T_group_scan, truth)
+    assert judged.is_moved == is_moved
+    for i, j in combinations(group, 2):
+        expected = between(turned if is_moved else truth, i, j)
+        np.testing.assert_allclose(between(judged.T_group_scan, i, j), expected, atol=1e-6)
 
 
 def test_a_scan_smaller_than_a_cell_stays_with_the_others() -> None:
