@@ -9,7 +9,7 @@ import pytest
 from fusion_cases import between, edge, errors, jitter, random_pose, random_poses
 
 from fullturn.fusion.edges import failed_edge
-from fullturn.fusion.graph import GraphConfig, Placement, place_scans
+from fullturn.fusion.graph import GraphConfig, Placement, join_groups, place_scans
 from fullturn.fusion.posterior import Measurement, posterior
 
 
@@ -229,3 +229,18 @@ def test_scans_without_edges_are_alone() -> None:
     placement = place_scans(3, [])
     assert placement.groups == ((0,), (1,), (2,))
     np.testing.assert_array_equal(placement.T_group_scan, np.tile(np.eye(4), (3, 1, 1)))
+
+
+def test_groups_join_at_their_poses_though_pairs_in_them_disagree() -> None:
+    rng = np.random.default_rng(3)
+    truth = random_poses(5, rng)
+    placed = truth.copy()
+    placed[1:4] = np.linalg.inv(truth[1]) @ truth[1:4]
+    edges = [edge(1, j, [between(truth, 1, j)], [0.9]) for j in (2, 3)]
+    edges += [edge(2, 3, [random_pose(rng)], [0.9])]  # outvoted before
+    placement = Placement(((1, 2, 3), (0,), (4,)), placed, np.full(5, np.nan), ())
+    links = [edge(0, j, [between(truth, 0, j)], [0.9]) for j in (1, 2)]
+    found = join_groups([*edges, *links], placement, GraphConfig())
+    assert found.groups == ((0, 1, 2, 3), (4,))
+    check_poses(found, truth, deg=1e-4, shift=1e-6)
+    assert join_groups(edges, placement, GraphConfig()).groups == placement.groups

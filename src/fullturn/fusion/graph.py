@@ -97,7 +97,7 @@ def join_groups(
     placement: Placement,
     config: GraphConfig,
     *,
-    surfaces: Sequence[np.ndarray],
+    surfaces: Sequence[np.ndarray] | None = None,
 ) -> Placement:
     """The placement with groups joined that these edges connect; within groups, nothing moves."""
     graph = _Graph(len(placement.T_group_scan), _pool(edges), config, placement, surfaces)
