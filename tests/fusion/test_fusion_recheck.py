@@ -78,3 +78,27 @@ def test_scans_that_find_no_place_in_one_another_fall_apart() -> None:
     np.testing.assert_array_equal(again.probability[known], placement.probability[known])
     assert np.isnan(again.probability[wrong]).all()
     np.testing.assert_array_equal(again.T_group_scan[wrong], np.tile(np.eye(4), (4, 1, 1)))
+
+
+def test_what_fits_after_a_scan_was_moved_joins() -> None:
+    config = GraphConfig()
+    scans, truth, _, edges = case(0.5, 0)
+    turned, lone = 4, 5
+    poses = invert(truth[[0]]) @ truth
+    poses[turned] = invert(truth[0]) @ HALF_TURN @ truth[turned]
+    poses[lone] = np.eye(4)
+    edges = [e for e in edges if lone not in (e.target, e.source)]
+    edges += [edge(i, lone, [between(truth, i, lone)], [0.6]) for i in (0, turned)]
+    placement = placement_at(edges, [[0, 1, 2, 3, 4], [lone]], poses, config)
+    assert placement.groups == ((0, 1, 2, 3, 4), (lone,))
+    surfaces = [thinned(scan, 1.0) for scan in scans]
+    with Registrar(length=1.0, method="auto", seed=0, workers=1) as registrar:
+        _, again, changed = recheck_scans(
+            registrar, scans, 1.0, surfaces, config, edges, placement, poses, progress=False
+        )
+    assert changed
+    assert again.groups == (tuple(range(len(scans))),)
+    assert again.probability[lone] > 0.8
+    for scan in again.groups[0]:
+        angle, _ = errors(again.T_group_scan[scan], between(truth, 0, scan))
+        assert angle < 1.0
