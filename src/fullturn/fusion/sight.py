@@ -9,7 +9,7 @@ from torch import Tensor
 from fullturn.geometry.directions import sphere_directions
 from fullturn.pose.visibility import DepthImages
 
-_DIRECTIONS = 64
+_DIRECTIONS = 64  # looked from, where nobody says where the sensor stood
 _AWAY = 8.0  # radii between a scan and its sensor, where that isn't known
 
 
